@@ -1,17 +1,18 @@
-"""Camera poses and inverse depths from tracked points (bundle adjustment; Triggs et al. 2000).
+"""Camera poses, inverse depths and focal length from tracked points (bundle adjustment; Triggs et al. 2000).
 
-Each point has an anchor, the first keyframe that observes it, and one unknown: its inverse depth rho there (Civera et
-al. 2008). In another camera k it projects along
+Each point has an anchor, the first keyframe that observes it, and one unknown: the logarithm of its inverse depth rho
+there (Civera et al. 2008). In another camera k it projects along
 
     R_k^T (R_a ray + rho (c_a - c_k)),
 
-which holds for a camera that only turns (c_a = c_k) and for points at infinity (rho = 0) alike, so no case needs a
-model of its own. A prior rho ~ N(1, 1) fixes the unit of length, which images leave open.
+which holds for a camera that only turns (rho = 0) too. With -rho and -c the same image shows points behind the cameras;
+the logarithm leaves these out. Its prior fixes the unit of length, which images leave open, and decides between the two
+reliefs that a short path cannot tell apart, of which one is the other turned inside out.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -19,8 +20,15 @@ from scipy.sparse import coo_matrix
 
 from video2anim.geometry.rotations import matrix_from_axis_angle
 
-_RHO_SIGMA = 1.0
-"""Spread of inverse depths over their mean: half of the points are between 0.6 and infinity times the usual depth."""
+_LOG_SIGMA = 1.0
+"""Spread of the logarithms of inverse depths beside what is expected: most points are 1/7 to 7 times as far."""
+_FOCAL_SIGMA = 0.5
+"""Of the logarithm of an unknown focal length, for the sake of the solver: where nothing tells it, it stays."""
+_DISTORTION_SIGMA = 0.05
+"""Expected first radial coefficient of a lens. It is not fitted: over small turns it looks like another focal length,
+and errors that the points of a track have in common make it negative."""
+_MAX_LOG_STEP = 2.0
+"""Of a logarithm of inverse depth in one iteration."""
 _TOLERANCE = 1e-4
 """Relative change of the cost at which the iteration ends."""
 _SCALES = (32.0, 16.0, 8.0, 4.0, 2.0, 1.0, 1.0, 1.0)
@@ -38,10 +46,9 @@ class Poses:
     log_focal: float = 0.0
     """Logarithm of the focal length of all over the one that the observations assume."""
 
-    @property
-    def to_ray(self) -> Float[np.ndarray, "3"]:
-        """What observed rays of unit depth are multiplied by."""
-        return np.exp([-self.log_focal, -self.log_focal, 0.0])
+    def rays(self, seen: Float[np.ndarray, "n 2"]) -> Float[np.ndarray, "n 2"]:
+        """x / z and y / z of observations through this lens."""
+        return seen * np.exp(-self.log_focal)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -55,13 +62,15 @@ class Observations:
     anchor: Int[np.ndarray, "points"]
     ray: Float[np.ndarray, "points 3"]
     """In the anchor, with z = 1."""
+    expected: Float[np.ndarray, "points"]
+    """Logarithms of inverse depths before any motion is seen."""
     sigma: float
     """Standard deviation of `seen`, beyond which Cauchy's cost takes over."""
 
     def among(self, cameras: int) -> Observations:
         """Those of the first cameras."""
         own = self.camera < cameras
-        return Observations(self.camera[own], self.point[own], self.seen[own], self.anchor, self.ray, self.sigma)
+        return replace(self, camera=self.camera[own], point=self.point[own], seen=self.seen[own])
 
 
 def errors(poses: Poses, rho: Float[np.ndarray, "points"], seen: Observations) -> Float[np.ndarray, "observations 2"]:
@@ -70,13 +79,19 @@ def errors(poses: Poses, rho: Float[np.ndarray, "points"], seen: Observations) -
 
 
 def _errors(x: np.ndarray, poses: Poses, seen: Observations) -> Float[np.ndarray, "observations 2"]:
-    return (np.exp(poses.log_focal) * x[:, :2] / np.maximum(x[:, 2:], _NEAREST) - seen.seen) / seen.sigma
+    off = x[:, :2] / np.maximum(x[:, 2:], _NEAREST) - poses.rays(seen.seen)
+    return off * (np.exp(poses.log_focal) / seen.sigma)
+
+
+def _rays(poses: Poses, seen: Observations) -> Float[np.ndarray, "points 3"]:
+    """Of the points in their anchors, with z = 1."""
+    return np.c_[poses.rays(seen.ray[:, :2]), seen.ray[:, 2]]
 
 
 def _in_camera(poses: Poses, rho: np.ndarray, seen: Observations) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Directions in the observing camera, and in the first camera's axes: of the ray alone and of both terms."""
     anchor = seen.anchor[seen.point]
-    ray = np.einsum("nab,nb->na", poses.R[anchor], seen.ray[seen.point] * poses.to_ray)
+    ray = np.einsum("nab,nb->na", poses.R[anchor], _rays(poses, seen)[seen.point])
     whole = ray + rho[seen.point, None] * (poses.center[anchor] - poses.center[seen.camera])
     return np.einsum("nab,na->nb", poses.R[seen.camera], whole), ray, whole
 
@@ -88,8 +103,7 @@ def known_points(poses: Poses, rho: Float[np.ndarray, "points"], seen: Observati
     found = np.full(seen.ray.shape, np.nan)
     anchor = seen.anchor[known]
     found[known] = (
-        np.einsum("nab,nb->na", poses.R[anchor], seen.ray[known] * poses.to_ray)
-        + rho[known, None] * poses.center[anchor]
+        np.einsum("nab,nb->na", poses.R[anchor], _rays(poses, seen)[known]) + rho[known, None] * poses.center[anchor]
     )
     return found
 
@@ -139,21 +153,20 @@ def adjust(
     *,
     scale: float = 1.0,
     steps: int = 30,
-    focal_sigma: float = 0.0,
+    free_focal: bool = False,
 ) -> tuple[Poses, Float[np.ndarray, "points"]]:
     """The least-squares fit from a start, by Levenberg and Marquardt's iteration; the first camera is fixed.
 
     Cauchy's cost, of the given scale, leaves points that move by themselves without weight. Inverse depths are
-    eliminated from every step (Schur complement). If all are 0 they stay so, and with them the centers: the camera
-    only turns. The focal length is an unknown if `focal_sigma` is above 0, the standard deviation of its logarithm
-    before the fit.
+    eliminated from every step (Schur complement). Those of 0 stay so, and if all are 0 the centers too: the camera only
+    turns. The focal length is fixed unless `free_focal`.
     """
-    damping, cost = 1e-3, cost_of(poses, rho, seen, scale, focal_sigma)
+    damping, cost = 1e-3, cost_of(poses, rho, seen, scale)
     for _ in range(steps):
-        normal = _Normal(poses, rho, seen, scale, focal_sigma)
+        normal = _Normal(poses, rho, seen, scale)
         while damping < 1e6:
-            next_poses, next_rho = normal.step(damping)
-            next_cost = cost_of(next_poses, next_rho, seen, scale, focal_sigma)
+            next_poses, next_rho = normal.step(damping, free_focal)
+            next_cost = cost_of(next_poses, next_rho, seen, scale)
             if next_cost < cost:
                 break
             damping *= 8
@@ -166,79 +179,97 @@ def adjust(
     return poses, rho
 
 
-def cost_of(
-    poses: Poses, rho: Float[np.ndarray, "points"], seen: Observations, scale: float = 1.0, focal_sigma: float = 0.0
-) -> float:
-    """Cauchy's cost of all errors, and the priors of the inverse depths and of the focal length."""
+def cost_of(poses: Poses, rho: Float[np.ndarray, "points"], seen: Observations, scale: float = 1.0) -> float:
+    """Cauchy's cost of all errors, and the priors of inverse depths and focal length."""
     squared = (errors(poses, rho, seen) ** 2).sum(1)
-    cost = scale**2 * np.log1p(squared / scale**2).sum() + rho.any() * (((rho - 1) / _RHO_SIGMA) ** 2).sum()
-    return float(cost + ((poses.log_focal / focal_sigma) ** 2 if focal_sigma else 0.0))
+    cost = scale**2 * np.log1p(squared / scale**2).sum() + (_off_prior(rho, seen) ** 2).sum()
+    return float(cost + (poses.log_focal / _FOCAL_SIGMA) ** 2)
 
 
-def rho_sigmas(poses: Poses, rho: Float[np.ndarray, "points"], seen: Observations) -> Float[np.ndarray, "points"]:
-    """Standard deviations of the inverse depths for known poses."""
-    return _Normal(poses, rho, seen, 1.0, 0.0).rho_information ** -0.5
+def _off_prior(rho: Float[np.ndarray, "points"], seen: Observations) -> Float[np.ndarray, "points"]:
+    """Logarithms of inverse depths beside what is expected, in standard deviations; 0 for points at infinity, which
+    stay there."""
+    return np.where(rho > 0, np.log(np.where(rho > 0, rho, 1.0)) - seen.expected, 0.0) / _LOG_SIGMA
 
 
-def focal_sigma_after(poses: Poses, rho: Float[np.ndarray, "points"], seen: Observations, before: float) -> float:
-    """Standard deviation of the logarithm of the focal length, of which `before` is the one before the fit."""
-    return _Normal(poses, rho, seen, 1.0, before).focal_sigma()
+def log_sigmas(poses: Poses, rho: Float[np.ndarray, "points"], seen: Observations) -> Float[np.ndarray, "points"]:
+    """Standard deviations of the logarithms of the inverse depths for known poses."""
+    return _Normal(poses, rho, seen, 1.0).log_information ** -0.5
+
+
+def focal_information(poses: Poses, rho: Float[np.ndarray, "points"], seen: Observations) -> float:
+    """What the points tell of the logarithm of the focal length: inverse of its variance, by their errors and by the
+    usual distortion of lenses."""
+    variance, by_distortion = _Normal(poses, rho, seen, 1.0).focal_variance()
+    told = max(1e-9, 1 / variance - _FOCAL_SIGMA**-2)
+    return 1 / (1 / told + (by_distortion * _DISTORTION_SIGMA) ** 2)
 
 
 class _Normal:
     """Normal equations at one state. Unknowns: six per camera (rotation vector, center), the logarithm of the focal
-    length, then inverse depths."""
+    length, the distortion, then logarithms of inverse depths."""
 
-    def __init__(self, poses: Poses, rho: np.ndarray, seen: Observations, scale: float, focal_sigma: float) -> None:
+    def __init__(self, poses: Poses, rho: np.ndarray, seen: Observations, scale: float) -> None:
         self._poses, self._rho = poses, rho
         x, ray, whole = _in_camera(poses, rho, seen)
         z = np.maximum(x[:, 2], _NEAREST)
         D = _to_pixel(x, z) @ np.swapaxes(poses.R[seen.camera], 1, 2) * (np.exp(poses.log_focal) / seen.sigma)
         anchor, own_rho = seen.anchor[seen.point], rho[seen.point, None, None]
-        by_rho = D @ (poses.center[anchor] - poses.center[seen.camera])[..., None]
+        by_log = D @ (poses.center[anchor] - poses.center[seen.camera])[..., None] * own_rho
         error = _errors(x, poses, seen)
-        # A longer lens spreads the projection, and brings the ray of the anchor nearer to its axis.
-        sideways = ray - poses.R[anchor, :, 2]
-        by_focal = (error + seen.seen / seen.sigma - np.einsum("nka,na->nk", D, sideways)) * (focal_sigma > 0)
-        blocks = [D @ _cross(whole), -D * own_rho, -D @ _cross(ray), D * own_rho, by_focal[..., None], by_rho]
+        by_lens = self._by_lens(D, error, poses.R[anchor], seen)
+        blocks = [D @ _cross(whole), -D * own_rho, -D @ _cross(ray), D * own_rho, by_lens, by_log]
         weight = 1 / (1 + (error**2).sum(1) / scale**2)
         cameras, n = len(poses.R), len(z)
         columns = np.concatenate(
             [6 * seen.camera[:, None] + np.arange(6), 6 * anchor[:, None] + np.arange(6),
-             np.full((n, 1), 6 * cameras), 6 * cameras + 1 + seen.point[:, None]], 1,
+             np.tile(6 * cameras + np.arange(2), (n, 1)), 6 * cameras + 2 + seen.point[:, None]], 1,
         )  # fmt: skip
         values = np.concatenate(blocks, 2) * np.sqrt(weight)[:, None, None]
         rows = np.broadcast_to(np.arange(2 * n).reshape(n, 2, 1), values.shape)
         columns = np.broadcast_to(columns[:, None], values.shape)
-        split = 6 * cameras + 1
+        split = 6 * cameras + 2
         J = coo_matrix((values.ravel(), (rows.ravel(), columns.ravel())), (2 * n, split + len(rho))).tocsr()
         H, g = (J.T @ J).tocsr(), J.T @ (error * np.sqrt(weight)[:, None]).ravel()
         self._camera, self._mixed = H[6:split, 6:split].toarray(), H[6:split, split:]
         self._g_camera = g[6:split]
-        # Without a prior the focal length has no column, and any number keeps it where it is.
-        self._camera[-1, -1] += focal_sigma**-2 if focal_sigma else 1.0
-        self._g_camera[-1] += poses.log_focal / focal_sigma**2 if focal_sigma else 0.0
-        self.rho_information = H.diagonal()[split:] + 1 / _RHO_SIGMA**2
-        self._g_rho = g[split:] + (rho - 1) / _RHO_SIGMA**2
+        self._camera[-2, -2] += _FOCAL_SIGMA**-2
+        self._g_camera[-2] += poses.log_focal / _FOCAL_SIGMA**2
+        self.log_information = H.diagonal()[split:] + _LOG_SIGMA**-2
+        self._g_log = g[split:] + _off_prior(rho, seen) / _LOG_SIGMA
 
-    def _reduced(self, damping: float) -> tuple[np.ndarray, np.ndarray, np.ndarray | float]:
-        """Normal equations of cameras and focal length alone, the inverse depths' part of them and their weights."""
-        own = self.rho_information * (1 + damping) if self._rho.any() else np.inf
+    def _by_lens(self, D: np.ndarray, error: np.ndarray, R_anchor: np.ndarray, seen: Observations) -> np.ndarray:
+        """Derivatives of the errors by the logarithm of the focal length and by the distortion: both move the
+        observation, and the ray of the anchor."""
+        to_error = np.exp(self._poses.log_focal) / seen.sigma
+        own, anchor = (self._poses.rays(observed) for observed in (seen.seen, seen.ray[seen.point, :2]))
+        moved = [np.stack([-ray, ray * (ray**2).sum(1, keepdims=True)], -1) for ray in (own, anchor)]
+        by_lens = D @ R_anchor[:, :, :2] @ moved[1] - moved[0] * to_error
+        by_lens[:, :, 0] += error
+        return by_lens
+
+    def _reduced(self, damping: float) -> tuple[np.ndarray, np.ndarray]:
+        """Normal equations of cameras and lens alone."""
         A = self._camera + np.diag(damping * self._camera.diagonal() + 1e-9)
-        scaled = self._mixed.multiply(1 / own).tocsr()
-        return A - (scaled @ self._mixed.T).toarray(), scaled @ self._g_rho - self._g_camera, own
+        scaled = self._mixed.multiply(1 / (self.log_information * (1 + damping))).tocsr()
+        return A - (scaled @ self._mixed.T).toarray(), scaled @ self._g_log - self._g_camera
 
-    def step(self, damping: float) -> tuple[Poses, np.ndarray]:
-        A, b, own = self._reduced(damping)
-        change = np.linalg.solve(A, b)
-        d_rho = -(self._g_rho + self._mixed.T @ change) / own
-        turn, shift = np.split(np.r_[np.zeros((1, 6)), change[:-1].reshape(-1, 6)], 2, axis=1)
+    def step(self, damping: float, free_focal: bool) -> tuple[Poses, np.ndarray]:
+        A, b = self._reduced(damping)
+        free = len(b) - (1 if free_focal else 2)
+        change = np.zeros(len(b))
+        change[:free] = np.linalg.solve(A[:free, :free], b[:free])
+        d_log = -(self._g_log + self._mixed.T @ change) / (self.log_information * (1 + damping))
+        turn, shift = np.split(np.r_[np.zeros((1, 6)), change[:-2].reshape(-1, 6)], 2, axis=1)
         R = np.asarray(matrix_from_axis_angle(turn)) @ self._poses.R
-        log_focal = self._poses.log_focal + float(change[-1])
-        return Poses(R, self._poses.center + shift, log_focal), self._rho + d_rho
+        rho = self._rho * np.exp(np.clip(d_log, -_MAX_LOG_STEP, _MAX_LOG_STEP))
+        return Poses(R, self._poses.center + shift, self._poses.log_focal + float(change[-2])), rho
 
-    def focal_sigma(self) -> float:
-        return float(np.linalg.inv(self._reduced(0.0)[0])[-1, -1] ** 0.5)
+    def focal_variance(self) -> tuple[float, float]:
+        """Variance of the logarithm of the focal length for a lens without distortion, and its derivative by that."""
+        A = self._reduced(0.0)[0]
+        row = np.linalg.inv(A[:-1, :-1])[-1]
+        return float(row[-1]), float(-row @ A[:-1, -1])
 
 
 def _cross(v: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, "n 3 3"]:

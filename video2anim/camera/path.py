@@ -1,14 +1,14 @@
 """Path of a moving camera, and its focal length, from tracked points of the background.
 
 Keyframes are added one after the other: each is located by the points that are known, inverse depths follow from the
-poses, and a bundle adjustment improves both whenever the number of keyframes has doubled. The last one frees the focal
-length too: how the image of a camera that turns is distorted, or near and far points move past each other, tells it.
+poses, and a bundle adjustment improves both whenever the number of keyframes has doubled. At last the focal length is
+free too, which any turn of the camera tells, and its mean with what was known of it is taken.
 All other frames are located by the result.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
@@ -23,10 +23,10 @@ from video2anim.camera.bundle_adjustment import (
     adjust,
     cost_of,
     errors,
-    focal_sigma_after,
+    focal_information,
     known_points,
     locate,
-    rho_sigmas,
+    log_sigmas,
 )
 from video2anim.types import BackgroundPoints, Intrinsics
 
@@ -42,16 +42,22 @@ _EPIPOLAR_KEYFRAMES = 8
 """Up to so many keyframes are also started from their epipolar geometry."""
 _START_SCALES = (8.0, 1.0)
 """Scales of Cauchy's cost from each start."""
+_NEARER = 1.0
+"""Expected change of the logarithm of inverse depth down the image, per long side: 0.6 to 3.0 in the depth that stage
+metric has of eight real clips, 0.4 in rendered rooms without anybody (scripts that are not kept)."""
+_FAR = 0.02
+"""Inverse depth that points behind the camera start from: 50 times the usual depth."""
 _DEPTH_SIGMA = 0.1
 """Standard deviation of a point's depth, as a share of it, up to which it is known."""
 _MIN_SPREAD = 0.1
 """Robust standard deviation of the logarithm of distance below which no depth is known: points at one distance are what
-an error of the lens makes of a camera that turns. It is 0.04 on `gvhmr_tennis`, whose points are 5 to 50 m away by eye,
-0.4 and more on `glamr_pexels_walking` and `monst3r_lady_running`, whose cameras travel."""
+a lens with distortion makes of a camera that turns. It is 0.03 on `gvhmr_tennis`, whose points are 5 to 50 m away, 0.16
+and more on clips whose cameras travel (those of `_SAME_ERROR`)."""
 _SAME_ERROR = 2.0
 """A camera only turns unless a path explains the median point so many times better. Inverse depths of pure noise in two
-keyframes make it 1.24 times better (half-normal and Rayleigh distribution), a bed on which children jump 1.45, cameras
-in the hands 3.3 and more (`video2anim run` on the clips of `benchmarks/real_clips.py` and `moving_cameras.py`)."""
+keyframes make it 1.24 times better (half-normal and Rayleigh distribution), a hand that is nearly still 1.34
+(`gvhmr_tennis`), a bed on which children jump 1.66, cameras that travel 3.7 and more (`davis_breakdance_flare`,
+`glamr_pexels_walking`, `monst3r_lady_running`; a script that is not kept)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,16 +114,15 @@ def path_of_tracks(tracks: BackgroundTracks, frames: int, intrinsics: Intrinsics
     sigma = _SIGMA_RATIO * long_side_px / k.fx_px
     keyframes = _keyframes(tracks, frames, _KEYFRAME_SHIFT * long_side_px)
     observed, row_of = _observations(tracks, seen, keyframes, sigma)
-    poses, rho = _keyframe_poses(observed, len(keyframes), focal_log_sigma)
+    poses, rho, focal_after = _keyframe_poses(observed, len(keyframes), focal_log_sigma)
     T, located, residual_px = _all_frames(tracks, seen, row_of, (poses, rho, observed), frames, k.fx_px)
-    after = focal_sigma_after(poses, rho, observed, focal_log_sigma)
     points = _points_of_known_depth(poses, rho, observed)
-    return CameraPath(T, located, residual_px, poses.log_focal, after, points)
+    return CameraPath(T, located, residual_px, poses.log_focal, focal_after, points)
 
 
 def _points_of_known_depth(poses: Poses, rho: np.ndarray, observed: Observations) -> BackgroundPoints:
-    log_sigma = rho_sigmas(poses, rho, observed) / np.maximum(rho, 1e-9)
-    known = log_sigma < _DEPTH_SIGMA
+    log_sigma = log_sigmas(poses, rho, observed)
+    known = (log_sigma < _DEPTH_SIGMA) & (rho > 0)
     if not known.any():
         return BackgroundPoints.none()
     place = known_points(poses, rho, observed)[known] / rho[known, None]
@@ -157,13 +162,18 @@ def _observations(
     row_of[point] = np.arange(len(point))
     ray = np.c_[seen[first], np.ones(len(first))]
     others = rows[(row_of[tracks.point[rows]] >= 0) & ~np.isin(rows, first)]
-    return Observations(camera[others], row_of[tracks.point[others]], seen[others], camera[first], ray, sigma), row_of
+    expected = _NEARER * _SIGMA_RATIO / sigma * ray[:, 1]
+    observed = Observations(
+        camera[others], row_of[tracks.point[others]], seen[others], camera[first], ray, expected, sigma
+    )
+    return observed, row_of
 
 
 def _keyframe_poses(
     seen: Observations, keyframes: int, focal_sigma: float
-) -> tuple[Poses, Float[np.ndarray, "points"]]:
-    """Poses of the keyframes and inverse depths of the points."""
+) -> tuple[Poses, Float[np.ndarray, "points"], float]:
+    """Poses of the keyframes, inverse depths of the points, and the standard deviation of the logarithm of the focal
+    length, which is `focal_sigma` before."""
     poses, rho = Poses(np.eye(3)[None], np.zeros((1, 3))), np.ones(len(seen.ray))
     for camera in range(1, keyframes):
         own = seen.camera == camera
@@ -180,20 +190,29 @@ def _keyframe_poses(
         )
         poses = Poses(np.r_[poses.R, R[None]], np.r_[poses.center, center[None]])
         known = seen.among(camera + 1)
-        rho = _triangulated(poses, known)
+        signed = _triangulated(poses, known)
+        poses, rho = _in_front(poses, signed)
         if camera & (camera - 1) == 0:
-            starts = [(poses, rho), *_by_epipolar_geometry(known, camera)]
+            # Over a short path the opposite one shows much the same with the relief turned inside out.
+            opposite = _in_front(Poses(poses.R, -poses.center), 1 / rho)
+            starts = [(poses, rho), opposite, *_by_epipolar_geometry(known, camera)]
             fits = [adjust(*start, known, scale=scale, steps=15) for start in starts for scale in _START_SCALES]
             fits = [adjust(*fit, known, steps=15) for fit in fits]
             poses, rho = min(fits, key=lambda fit: cost_of(*fit, known))
     if not len(seen.point):
-        return Poses(np.tile(np.eye(3), (keyframes, 1, 1)), np.zeros((keyframes, 3))), rho
-    turning = adjust(Poses(poses.R, np.zeros((keyframes, 3))), np.zeros(len(rho)), seen, focal_sigma=focal_sigma)
-    moving = adjust(poses, rho, seen, focal_sigma=focal_sigma)
+        return Poses(np.tile(np.eye(3), (keyframes, 1, 1)), np.zeros((keyframes, 3))), rho, focal_sigma
+    free = focal_sigma > 0
+    turning = adjust(Poses(poses.R, np.zeros((keyframes, 3))), np.zeros(len(rho)), seen, free_focal=free)
+    moving = adjust(poses, rho, seen, steps=100, free_focal=free)
     off = [float(np.median(np.linalg.norm(errors(*fit, seen), axis=1))) for fit in (turning, moving)]
     # Of two coordinates of every observation, an inverse depth takes one per point.
     freedom = 1 - len(np.unique(seen.point)) / max(2 * len(seen.point), 1)
-    return turning if off[0] * freedom**0.5 < _SAME_ERROR * off[1] else moving
+    fit = turning if off[0] * freedom**0.5 < _SAME_ERROR * off[1] else moving
+    if not free:
+        return *fit, focal_sigma
+    told, before = focal_information(*fit, seen), focal_sigma**-2
+    poses = replace(fit[0], log_focal=fit[0].log_focal * told / (told + before))
+    return *adjust(poses, fit[1], seen), (told + before) ** -0.5
 
 
 def _by_epipolar_geometry(seen: Observations, camera: int) -> list[tuple[Poses, Float[np.ndarray, "points"]]]:
@@ -210,9 +229,14 @@ def _by_epipolar_geometry(seen: Observations, camera: int) -> list[tuple[Poses, 
     center = -R_last_first.T @ t[:, 0]
     share = np.linspace(0, 1, camera + 1)[:, None]
     R = Rotation.from_rotvec(share * Rotation.from_matrix(R_last_first.T).as_rotvec()).as_matrix()
-    rho = _triangulated(Poses(R, share * center), seen)
-    size = float(np.median(rho[np.unique(seen.point)]))
-    return [(Poses(R, share * center * size), rho / size)] if size > 0 else []
+    poses = Poses(R, share * center)
+    return [_in_front(poses, _triangulated(poses, seen))]
+
+
+def _in_front(poses: Poses, rho: Float[np.ndarray, "points"]) -> tuple[Poses, Float[np.ndarray, "points"]]:
+    """The same with usual inverse depths of 1, and points behind the camera far away."""
+    size = float(np.median(rho[rho > 0])) if (rho > 0).any() else 1.0
+    return Poses(poses.R, poses.center * size), np.maximum(rho / size, _FAR)
 
 
 def _triangulated(poses: Poses, seen: Observations) -> Float[np.ndarray, "points"]:
@@ -237,7 +261,7 @@ def _all_frames(
     """Every frame located by the points of the keyframes, each from the pose of the frame before; which frames have
     enough of them, and the median error in pixels."""
     poses, rho, observed = keyframe_result
-    zoom = np.exp(poses.log_focal)
+    sigma, seen = observed.sigma / np.exp(poses.log_focal), poses.rays(seen)
     points = known_points(poses, rho, observed)
     R, center = np.tile(np.eye(3), (frames, 1, 1)), np.zeros((frames, 3))
     found, off = np.zeros(frames, bool), [np.zeros(1)]
@@ -251,7 +275,7 @@ def _all_frames(
             continue
         some = row_of[tracks.point[own]]
         R[frame], center[frame], error = locate(
-            points[some], rho[some], seen[own] / zoom, observed.sigma / zoom, (R[frame - 1], center[frame - 1])
+            points[some], rho[some], seen[own], sigma, (R[frame - 1], center[frame - 1])
         )
         found[frame] = True
         off.append(error * observed.sigma * focal_px)
