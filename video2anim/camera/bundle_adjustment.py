@@ -29,8 +29,8 @@ _DISTORTION_SIGMA = 0.05
 and errors that the points of a track have in common make it negative."""
 _MAX_LOG_STEP = 2.0
 """Of a logarithm of inverse depth in one iteration."""
-_TOLERANCE = 1e-4
-"""Relative change of the cost at which the iteration ends."""
+_TOLERANCE, _MAX_STEPS = 1e-4, 100
+"""Relative change of the cost at which the iteration ends, and most steps."""
 _SCALES = (32.0, 16.0, 8.0, 4.0, 2.0, 1.0, 1.0, 1.0)
 """Scales of Cauchy's cost in the steps of `locate`, in standard deviations: keyframes are up to 30 apart."""
 _NEAREST = 0.05
@@ -147,26 +147,20 @@ def _to_pixel(x: np.ndarray, z: np.ndarray) -> Float[np.ndarray, "n 2 3"]:
 
 
 def adjust(
-    poses: Poses,
-    rho: Float[np.ndarray, "points"],
-    seen: Observations,
-    *,
-    scale: float = 1.0,
-    steps: int = 30,
-    free_focal: bool = False,
+    poses: Poses, rho: Float[np.ndarray, "points"], seen: Observations, *, free_focal: bool = False
 ) -> tuple[Poses, Float[np.ndarray, "points"]]:
     """The least-squares fit from a start, by Levenberg and Marquardt's iteration; the first camera is fixed.
 
-    Cauchy's cost, of the given scale, leaves points that move by themselves without weight. Inverse depths are
-    eliminated from every step (Schur complement). Those of 0 stay so, and if all are 0 the centers too: the camera only
-    turns. The focal length is fixed unless `free_focal`.
+    Cauchy's cost leaves points that move by themselves without weight. Inverse depths are eliminated from every step
+    (Schur complement). Those of 0 stay so, and if all are 0 the centers too: the camera only turns. The focal length is
+    fixed unless `free_focal`.
     """
-    damping, cost = 1e-3, cost_of(poses, rho, seen, scale)
-    for _ in range(steps):
-        normal = _Normal(poses, rho, seen, scale)
+    damping, cost = 1e-3, cost_of(poses, rho, seen)
+    for _ in range(_MAX_STEPS):
+        normal = _Normal(poses, rho, seen)
         while damping < 1e6:
             next_poses, next_rho = normal.step(damping, free_focal)
-            next_cost = cost_of(next_poses, next_rho, seen, scale)
+            next_cost = cost_of(next_poses, next_rho, seen)
             if next_cost < cost:
                 break
             damping *= 8
@@ -179,10 +173,10 @@ def adjust(
     return poses, rho
 
 
-def cost_of(poses: Poses, rho: Float[np.ndarray, "points"], seen: Observations, scale: float = 1.0) -> float:
+def cost_of(poses: Poses, rho: Float[np.ndarray, "points"], seen: Observations) -> float:
     """Cauchy's cost of all errors, and the priors of inverse depths and focal length."""
     squared = (errors(poses, rho, seen) ** 2).sum(1)
-    cost = scale**2 * np.log1p(squared / scale**2).sum() + (_off_prior(rho, seen) ** 2).sum()
+    cost = np.log1p(squared).sum() + (_off_prior(rho, seen) ** 2).sum()
     return float(cost + (poses.log_focal / _FOCAL_SIGMA) ** 2)
 
 
@@ -194,13 +188,13 @@ def _off_prior(rho: Float[np.ndarray, "points"], seen: Observations) -> Float[np
 
 def log_sigmas(poses: Poses, rho: Float[np.ndarray, "points"], seen: Observations) -> Float[np.ndarray, "points"]:
     """Standard deviations of the logarithms of the inverse depths for known poses."""
-    return _Normal(poses, rho, seen, 1.0).log_information ** -0.5
+    return _Normal(poses, rho, seen).log_information ** -0.5
 
 
 def focal_information(poses: Poses, rho: Float[np.ndarray, "points"], seen: Observations) -> float:
     """What the points tell of the logarithm of the focal length: inverse of its variance, by their errors and by the
     usual distortion of lenses."""
-    variance, by_distortion = _Normal(poses, rho, seen, 1.0).focal_variance()
+    variance, by_distortion = _Normal(poses, rho, seen).focal_variance()
     told = max(1e-9, 1 / variance - _FOCAL_SIGMA**-2)
     return 1 / (1 / told + (by_distortion * _DISTORTION_SIGMA) ** 2)
 
@@ -209,7 +203,7 @@ class _Normal:
     """Normal equations at one state. Unknowns: six per camera (rotation vector, center), the logarithm of the focal
     length, the distortion, then logarithms of inverse depths."""
 
-    def __init__(self, poses: Poses, rho: np.ndarray, seen: Observations, scale: float) -> None:
+    def __init__(self, poses: Poses, rho: np.ndarray, seen: Observations) -> None:
         self._poses, self._rho = poses, rho
         x, ray, whole = _in_camera(poses, rho, seen)
         z = np.maximum(x[:, 2], _NEAREST)
@@ -219,7 +213,7 @@ class _Normal:
         error = _errors(x, poses, seen)
         by_lens = self._by_lens(D, error, poses.R[anchor], seen)
         blocks = [D @ _cross(whole), -D * own_rho, -D @ _cross(ray), D * own_rho, by_lens, by_log]
-        weight = 1 / (1 + (error**2).sum(1) / scale**2)
+        weight = 1 / (1 + (error**2).sum(1))
         cameras, n = len(poses.R), len(z)
         columns = np.concatenate(
             [6 * seen.camera[:, None] + np.arange(6), 6 * anchor[:, None] + np.arange(6),

@@ -10,7 +10,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 
-import cv2
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation, Slerp
@@ -38,10 +37,6 @@ _KEYFRAME_KEPT = 0.7
 """Or when fewer of the points are left."""
 _MAX_KEYFRAMES = 400
 """Most keyframes, which bounds the time of a step of the adjustment; of longer clips each stands for several."""
-_EPIPOLAR_KEYFRAMES = 8
-"""Up to so many keyframes are also started from their epipolar geometry."""
-_START_SCALES = (8.0, 1.0)
-"""Scales of Cauchy's cost from each start."""
 _NEARER = 1.0
 """Expected change of the logarithm of inverse depth down the image, per long side: 0.6 to 3.0 in the depth that stage
 metric has of eight real clips, 0.4 in rendered rooms without anybody (scripts that are not kept)."""
@@ -195,15 +190,13 @@ def _keyframe_poses(
         if camera & (camera - 1) == 0:
             # Over a short path the opposite one shows much the same with the relief turned inside out.
             opposite = _in_front(Poses(poses.R, -poses.center), 1 / rho)
-            starts = [(poses, rho), opposite, *_by_epipolar_geometry(known, camera)]
-            fits = [adjust(*start, known, scale=scale, steps=15) for start in starts for scale in _START_SCALES]
-            fits = [adjust(*fit, known, steps=15) for fit in fits]
+            fits = [adjust(*start, known) for start in ((poses, rho), opposite)]
             poses, rho = min(fits, key=lambda fit: cost_of(*fit, known))
     if not len(seen.point):
         return Poses(np.tile(np.eye(3), (keyframes, 1, 1)), np.zeros((keyframes, 3))), rho, focal_sigma
     free = focal_sigma > 0
     turning = adjust(Poses(poses.R, np.zeros((keyframes, 3))), np.zeros(len(rho)), seen, free_focal=free)
-    moving = adjust(poses, rho, seen, steps=100, free_focal=free)
+    moving = adjust(poses, rho, seen, free_focal=free)
     off = [float(np.median(np.linalg.norm(errors(*fit, seen), axis=1))) for fit in (turning, moving)]
     # Of two coordinates of every observation, an inverse depth takes one per point.
     freedom = 1 - len(np.unique(seen.point)) / max(2 * len(seen.point), 1)
@@ -213,24 +206,6 @@ def _keyframe_poses(
     told, before = focal_information(*fit, seen), focal_sigma**-2
     poses = replace(fit[0], log_focal=fit[0].log_focal * told / (told + before))
     return *adjust(poses, fit[1], seen), (told + before) ** -0.5
-
-
-def _by_epipolar_geometry(seen: Observations, camera: int) -> list[tuple[Poses, Float[np.ndarray, "points"]]]:
-    """A start for the first keyframes: the essential matrix of the first and the last of them, on a straight path. A
-    fit that starts without translation does not find the way of a camera that moves forward."""
-    shared = (seen.camera == camera) & (seen.anchor[seen.point] == 0)
-    if camera > _EPIPOLAR_KEYFRAMES or shared.sum() < MIN_POINTS:
-        return []
-    first, last = seen.ray[seen.point[shared], :2], seen.seen[shared]
-    E, _ = cv2.findEssentialMat(first, last, np.eye(3), cv2.USAC_MAGSAC, 0.999, seen.sigma)
-    if E is None or E.shape != (3, 3):
-        return []
-    _, R_last_first, t, _ = cv2.recoverPose(E, first, last, np.eye(3))
-    center = -R_last_first.T @ t[:, 0]
-    share = np.linspace(0, 1, camera + 1)[:, None]
-    R = Rotation.from_rotvec(share * Rotation.from_matrix(R_last_first.T).as_rotvec()).as_matrix()
-    poses = Poses(R, share * center)
-    return [_in_front(poses, _triangulated(poses, seen))]
 
 
 def _in_front(poses: Poses, rho: Float[np.ndarray, "points"]) -> tuple[Poses, Float[np.ndarray, "points"]]:
