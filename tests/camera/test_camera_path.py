@@ -21,12 +21,14 @@ def seen_by(
     *,
     moving_ratio: float = 0.05,
     depths_m: tuple[float, float] = (2, 14),
+    nearer_below: float = 0.0,
     seed: int = 0,
 ) -> BackgroundTracks:
     """Points at depths from 2 to 14 m, tracked with noise of 0.3 px while they are in the image. A share of them
-    moves."""
+    moves. Those that are lower by 1 m are nearer by `nearer_below`."""
     rng = np.random.default_rng(seed)
     points_m = np.c_[rng.uniform(-12, 12, 800), rng.uniform(-4, 2, 800), rng.uniform(*depths_m, 800)]
+    points_m[:, 2] -= nearer_below * points_m[:, 1]
     speed_m = (rng.random(800) < moving_ratio)[:, None] * rng.normal(0.0, 0.03, (800, 3))
     number, made = np.full(800, -1), 0
     frames, points, pixels = [], [], []
@@ -145,6 +147,33 @@ def test_what_a_camera_travels_past_has_a_known_depth() -> None:
     assert depth_m.min() > 1.8
     assert depth_m.max() < 16.0
     assert np.median(path.points.log_sigma[shown]) < 0.05
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_relief_is_not_turned_inside_out(seed: int) -> None:
+    """A camera that sways around what it looks at shows much the same of a relief and of its opposite, if the lens is
+    not what it is taken for."""
+    sway_m = np.c_[0.3 * np.sin(t / 10), 0 * t, 0.15 * np.sin(t / 13)]
+    turn = np.c_[0.01 * np.sin(t / 7), -sway_m[:, 0] / 9, 0 * t]
+    seen = seen_by(turn, sway_m, moving_ratio=0.0, depths_m=(8.5, 9.5), nearer_below=1.0, seed=seed)
+    centered = (seen.pixel - [LENS.cx_px, LENS.cy_px]) / LENS.fx_px
+    distorted = centered * (1 - 0.1 * (centered**2).sum(1, keepdims=True)) * LENS.fx_px + [LENS.cx_px, LENS.cy_px]
+    shorter = Intrinsics.centered(0.8 * LENS.fx_px, 960, 540)
+    path = path_of_tracks(BackgroundTracks(seen.frame, seen.point, distorted), FRAMES, shorter, 0.15)
+    _, y, depth = path.points.place.T
+    assert len(depth) > 50
+    # Depth falls down the image: z = 9 m - y.
+    assert np.corrcoef(np.log(depth), -np.log(1 + y / depth))[0, 1] > 0.9
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_a_small_way_around_something_is_no_evidence_of_another_lens(seed: int) -> None:
+    """As a turn alone it would be explained by a third of the focal length."""
+    sway_m = np.c_[0.15 * np.sin(t / 10), 0 * t, 0 * t]
+    turn = np.c_[0 * t, -sway_m[:, 0] / 9, 0 * t]
+    tracks = seen_by(turn, sway_m, moving_ratio=0.0, depths_m=(8.9, 9.1), nearer_below=1.0, seed=seed)
+    path = path_of_tracks(tracks, FRAMES, LENS, 0.17)
+    assert abs(path.log_focal) < path.focal_log_sigma
 
 
 def test_points_at_one_distance_have_no_known_depth() -> None:

@@ -8,6 +8,7 @@ All other frames are located by the result.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -200,12 +201,28 @@ def _keyframe_poses(
     off = [float(np.median(np.linalg.norm(errors(*fit, seen), axis=1))) for fit in (turning, moving)]
     # Of two coordinates of every observation, an inverse depth takes one per point.
     freedom = 1 - len(np.unique(seen.point)) / max(2 * len(seen.point), 1)
-    fit = turning if off[0] * freedom**0.5 < _SAME_ERROR * off[1] else moving
+    turns = off[0] * freedom**0.5 < _SAME_ERROR * off[1]
+    fit = turning if turns else moving
     if not free:
         return *fit, focal_sigma
-    told, before = focal_information(*fit, seen), focal_sigma**-2
-    poses = replace(fit[0], log_focal=fit[0].log_focal * told / (told + before))
+    log_focal, told = _focal_evidence([turning, moving] if turns else [moving], seen)
+    before = focal_sigma**-2
+    poses = replace(fit[0], log_focal=log_focal * told / (told + before))
     return *adjust(poses, fit[1], seen), (told + before) ** -0.5
+
+
+def _focal_evidence(
+    fits: Sequence[tuple[Poses, Float[np.ndarray, "points"]]], seen: Observations
+) -> tuple[float, float]:
+    """Logarithm of the focal length by one or two fits, and the inverse of its variance.
+
+    A camera that hardly moves may turn or go around what it looks at: the focal length that explains it as a turn alone
+    can be wrong by a factor of 3. Where the two disagree, neither is as certain as its variance.
+    """
+    found, told = np.array([[fit[0].log_focal, focal_information(*fit, seen)] for fit in fits]).T
+    apart = float(np.ptp(found))
+    variance = max(1 / told.sum(), 0.25 * apart**2 * told.min() / told.max())
+    return float(found @ told / told.sum()), 1 / variance
 
 
 def _in_front(poses: Poses, rho: Float[np.ndarray, "points"]) -> tuple[Poses, Float[np.ndarray, "points"]]:
