@@ -8,7 +8,6 @@ All other frames are located by the result.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -49,11 +48,12 @@ _MIN_SPREAD = 0.1
 """Robust standard deviation of the logarithm of distance below which no depth is known: points at one distance are what
 a lens with distortion makes of a camera that turns. It is 0.03 on `gvhmr_tennis`, whose points are 5 to 50 m away, 0.16
 and more on clips whose cameras travel (those of `_SAME_ERROR`)."""
-_SAME_ERROR = 2.0
-"""A camera only turns unless a path explains the median point so many times better. Inverse depths of pure noise in two
-keyframes make it 1.24 times better (half-normal and Rayleigh distribution), a hand that is nearly still 1.34
-(`gvhmr_tennis`), a bed on which children jump 1.66, cameras that travel 3.7 and more (`davis_breakdance_flare`,
-`glamr_pexels_walking`, `monst3r_lady_running`; a script that is not kept)."""
+_SAME_ERROR, _NOISE_ERROR = 2.0, 1.5
+"""A camera only turns unless a path explains the median point so many times better, and surely only turns if it does
+less than the second. Inverse depths of pure noise in two keyframes make it 1.24 times better (half-normal and Rayleigh
+distribution), a hand that is nearly still 1.35 (`gvhmr_tennis`), a bed on which children jump 1.66, cameras that travel
+3.5 and more (`davis_breakdance_flare`, `glamr_pexels_walking`, `monst3r_lady_running`, clips of `moving_cameras.py`; a
+script that is not kept)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -201,28 +201,16 @@ def _keyframe_poses(
     off = [float(np.median(np.linalg.norm(errors(*fit, seen), axis=1))) for fit in (turning, moving)]
     # Of two coordinates of every observation, an inverse depth takes one per point.
     freedom = 1 - len(np.unique(seen.point)) / max(2 * len(seen.point), 1)
-    turns = off[0] * freedom**0.5 < _SAME_ERROR * off[1]
-    fit = turning if turns else moving
+    better = off[0] * freedom**0.5 / off[1]
+    fit = turning if better < _SAME_ERROR else moving
     if not free:
         return *fit, focal_sigma
-    log_focal, told = _focal_evidence([turning, moving] if turns else [moving], seen)
-    before = focal_sigma**-2
-    poses = replace(fit[0], log_focal=log_focal * told / (told + before))
-    return *adjust(poses, fit[1], seen), (told + before) ** -0.5
-
-
-def _focal_evidence(
-    fits: Sequence[tuple[Poses, Float[np.ndarray, "points"]]], seen: Observations
-) -> tuple[float, float]:
-    """Logarithm of the focal length by one or two fits, and the inverse of its variance.
-
-    A camera that hardly moves may turn or go around what it looks at: the focal length that explains it as a turn alone
-    can be wrong by a factor of 3. Where the two disagree, neither is as certain as its variance.
-    """
-    found, told = np.array([[fit[0].log_focal, focal_information(*fit, seen)] for fit in fits]).T
-    apart = float(np.ptp(found))
-    variance = max(1 / told.sum(), 0.25 * apart**2 * told.min() / told.max())
-    return float(found @ told / told.sum()), 1 / variance
+    variance, before = 1 / focal_information(*fit, seen), focal_sigma**-2
+    if _NOISE_ERROR < better < _SAME_ERROR:
+        # As likely it goes a little way around what it looks at, which as a turn alone has a focal length of a third.
+        variance += 0.25 * (turning[0].log_focal - moving[0].log_focal) ** 2
+    poses = replace(fit[0], log_focal=fit[0].log_focal / (1 + variance * before))
+    return *adjust(poses, fit[1], seen), (1 / variance + before) ** -0.5
 
 
 def _in_front(poses: Poses, rho: Float[np.ndarray, "points"]) -> tuple[Poses, Float[np.ndarray, "points"]]:
