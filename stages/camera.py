@@ -68,12 +68,12 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
     if path.log_focal:
         focal = focal.after_path(path.log_focal, path.focal_log_sigma)
         lens = Intrinsics.centered(focal.focal_px, clip.width_px, clip.height_px)
-        image = image.with_focal(focal.focal_px / clip.height_px)
-    up_by_image = image.camera.up_camera
+    known = path.log_focal or focal.source != "picture"
+    by_image = image.with_focal(focal.focal_px / clip.height_px) if known else image.camera
     R_first_camera = path.T_first_camera[:, :3, :3]
-    people = lifted_people(tracks, clip, lens, up_by_image @ R_first_camera, ctx.model(config.model))
+    people = lifted_people(tracks, clip, lens, by_image.up_camera @ R_first_camera, ctx.model(config.model))
     by_lifter = up_by_lifter(people, R_first_camera)
-    evidence = up_evidence(by_lifter, image.camera, focal.focal_px, path.points.place)
+    evidence = up_evidence(by_lifter, by_image, focal.focal_px, path.points.place)
     up, up_sigma_rad = combined_up(evidence)
     estimate = CameraEstimate(
         intrinsics=lens,
@@ -136,10 +136,8 @@ def _image_camera(clip: VideoClip, motion: BackgroundMotion, config: CameraConfi
 
     count = config.field_frames if motion.is_static else 1
     frames = np.unique(np.linspace(0, clip.frame_count - 1, count).astype(int))
-    found = image_camera(
-        clip, ctx.model(config.camera_model), frames.tolist(),
-        focal_px=config.focal_px, line_segments=config.line_segments,
-    )  # fmt: skip
+    model = ctx.model(config.camera_model)
+    found = image_camera(clip, model, frames.tolist(), line_segments=config.line_segments)
     if found.segments:
         ctx.quality("line_segments", float(np.mean([len(one.ends) for one in found.segments])), "count")
         ctx.quality("focal_of_perspective_field", found.of_fields.focal_ratio * clip.height_px, "px")

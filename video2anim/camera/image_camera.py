@@ -35,27 +35,13 @@ class ImageCamera:
     segments: tuple[LineSegments, ...]
     """Line segments of each frame; none where they are not used."""
 
-    @classmethod
-    def of(
-        cls, of_fields: FieldCamera, segments: tuple[LineSegments, ...], focal_ratio: float | None = None
-    ) -> ImageCamera:
-        """The estimate from fields and segments; `focal_ratio` is the focal length in image heights if it is known."""
-        known = focal_ratio is not None
-        camera = of_fields.with_focal(focal_ratio) if known else of_fields
-        return cls(camera_with_edges(camera, segments, focal_known=known), of_fields, segments)
-
-    def with_focal(self, focal_ratio: float) -> ImageCamera:
-        """The same evidence of gravity if the focal length, in image heights, is known from elsewhere."""
-        return ImageCamera.of(self.of_fields, self.segments, focal_ratio)
+    def with_focal(self, focal_ratio: float) -> FieldCamera:
+        """The estimate if the focal length, in image heights, is known from elsewhere."""
+        return camera_with_edges(self.of_fields.with_focal(focal_ratio), self.segments, focal_known=True)
 
 
 def image_camera(
-    clip: VideoClip,
-    model: FieldModel,
-    frames: Sequence[int],
-    *,
-    focal_px: float | None = None,
-    line_segments: bool = True,
+    clip: VideoClip, model: FieldModel, frames: Sequence[int], *, line_segments: bool = True
 ) -> ImageCamera:
     """Camera that explains the perspective fields of some frames.
 
@@ -63,14 +49,12 @@ def image_camera(
         clip: The clip.
         model: Network that gives the fields.
         frames: Frames of the same view.
-        focal_px: Known focal length; only the up direction is estimated then.
         line_segments: Whether line segments of the images correct the fit.
 
     Raises:
         InputError: the clip's video cannot be read.
     """
     images = [read_frame(clip, frame) for frame in frames]
-    fields = [model.field(image) for image in images]
+    of_fields = fit_camera([model.field(image) for image in images], clip.width_px / clip.height_px)
     segments = tuple(detect_line_segments(image) for image in images) if line_segments else ()
-    known = None if focal_px is None else focal_px / clip.height_px
-    return ImageCamera.of(fit_camera(fields, clip.width_px / clip.height_px), segments, known)
+    return ImageCamera(camera_with_edges(of_fields, segments), of_fields, segments)
