@@ -42,7 +42,7 @@ class CameraConfig:
     camera_model: Annotated[str, model_of("camera")] = "room-camera"
     """Model of slot `camera` that gives perspective fields."""
     field_frames: Annotated[int, limits(ge=1, le=1000)] = 3
-    """Frames whose fields are fitted together; one for a moving camera."""
+    """Frames whose fields are fitted, together if the camera is static."""
     line_segments: bool = True
     """Correct the camera of the fields by the line segments of the images."""
 
@@ -56,12 +56,18 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
     """
     from video2anim.camera.background_tracks import background_motion
     from video2anim.camera.focal import estimate_focal
+    from video2anim.camera.image_camera import image_cameras
     from video2anim.camera.path import camera_path
-    from video2anim.camera.up import combined_up, lifted_people, up_by_lifter, up_evidence
+    from video2anim.camera.up import combined_up, lifted_people, up_by_images, up_by_lifter, up_evidence
 
     _expect_sane(config, clip)
     motion = background_motion(clip, tracks)
-    image = _image_camera(clip, motion, config, ctx)
+    images = image_cameras(
+        clip, ctx.model(config.camera_model), config.field_frames,
+        one_view=motion.is_static, line_segments=config.line_segments,
+    )  # fmt: skip
+    image = sorted(images, key=lambda one: one.camera.focal_ratio)[len(images) // 2]
+    _report_image(image, clip, ctx)
     focal = estimate_focal(clip, image.camera, config.focal_px)
     lens = Intrinsics.centered(focal.focal_px, clip.width_px, clip.height_px)
     path = camera_path(motion, clip.frame_count, lens, focal.free_log_sigma)
@@ -69,8 +75,11 @@ def estimate_camera(clip: VideoClip, tracks: PersonTracks, config: CameraConfig,
         focal = focal.after_path(path.log_focal, path.focal_log_sigma)
         lens = Intrinsics.centered(focal.focal_px, clip.width_px, clip.height_px)
     known = path.log_focal or focal.source != "picture"
-    by_image = image.with_focal(focal.focal_px / clip.height_px) if known else image.camera
     R_first_camera = path.T_first_camera[:, :3, :3]
+    by_image = up_by_images(
+        [one.with_focal(focal.focal_px / clip.height_px) if known else one.camera for one in images],
+        R_first_camera[[one.frame for one in images]],
+    )
     people = lifted_people(tracks, clip, lens, by_image.up_camera @ R_first_camera, ctx.model(config.model))
     by_lifter = up_by_lifter(people, R_first_camera)
     evidence = up_evidence(by_lifter, by_image, focal.focal_px, path.points.place)
@@ -131,19 +140,12 @@ def _report(estimate: CameraEstimate, motion: BackgroundMotion, path: CameraPath
     ctx.quality("roll", math.degrees(roll), "deg")
 
 
-def _image_camera(clip: VideoClip, motion: BackgroundMotion, config: CameraConfig, ctx: StageContext) -> ImageCamera:
-    from video2anim.camera.image_camera import image_camera
-
-    count = config.field_frames if motion.is_static else 1
-    frames = np.unique(np.linspace(0, clip.frame_count - 1, count).astype(int))
-    model = ctx.model(config.camera_model)
-    found = image_camera(clip, model, frames.tolist(), line_segments=config.line_segments)
+def _report_image(found: ImageCamera, clip: VideoClip, ctx: StageContext) -> None:
     if found.segments:
         ctx.quality("line_segments", float(np.mean([len(one.ends) for one in found.segments])), "count")
         ctx.quality("focal_of_perspective_field", found.of_fields.focal_ratio * clip.height_px, "px")
     ctx.quality("focal_of_image", found.camera.focal_ratio * clip.height_px, "px")
     ctx.quality("focal_of_image_uncertainty", found.camera.focal_log_sigma, "ratio", "lower")
-    return found
 
 
 def _expect_sane(config: CameraConfig, clip: VideoClip) -> None:
@@ -155,4 +157,4 @@ def _expect_sane(config: CameraConfig, clip: VideoClip) -> None:
         )
 
 
-STAGE = StageSpec("camera", estimate_camera, version=28, models=("lifter", "camera"))
+STAGE = StageSpec("camera", estimate_camera, version=29, models=("lifter", "camera"))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
 
@@ -28,6 +27,8 @@ class FieldModel(Protocol):
 class ImageCamera:
     """What a few frames of one view say of the camera."""
 
+    frame: int
+    """The first of them."""
     camera: FieldCamera
     """The estimate."""
     of_fields: FieldCamera
@@ -40,21 +41,26 @@ class ImageCamera:
         return camera_with_edges(self.of_fields.with_focal(focal_ratio), self.segments, focal_known=True)
 
 
-def image_camera(
-    clip: VideoClip, model: FieldModel, frames: Sequence[int], *, line_segments: bool = True
-) -> ImageCamera:
-    """Camera that explains the perspective fields of some frames.
+def image_cameras(
+    clip: VideoClip, model: FieldModel, count: int, *, one_view: bool, line_segments: bool = True
+) -> list[ImageCamera]:
+    """Cameras that explain the perspective fields of some frames, spread over the clip.
 
     Args:
         clip: The clip.
         model: Network that gives the fields.
-        frames: Frames of the same view.
+        count: How many frames.
+        one_view: Whether all show the same view: then one camera explains them together, otherwise each has its own.
         line_segments: Whether line segments of the images correct the fit.
 
     Raises:
         InputError: the clip's video cannot be read.
     """
-    images = [read_frame(clip, frame) for frame in frames]
-    of_fields = fit_camera([model.field(image) for image in images], clip.width_px / clip.height_px)
-    segments = tuple(detect_line_segments(image) for image in images) if line_segments else ()
-    return ImageCamera(camera_with_edges(of_fields, segments), of_fields, segments)
+    frames = np.unique(np.linspace(0, clip.frame_count - 1, count).astype(int)).tolist()
+    found = []
+    for view in [frames] if one_view else [[frame] for frame in frames]:
+        images = [read_frame(clip, frame) for frame in view]
+        of_fields = fit_camera([model.field(image) for image in images], clip.width_px / clip.height_px)
+        segments = tuple(detect_line_segments(image) for image in images) if line_segments else ()
+        found.append(ImageCamera(view[0], camera_with_edges(of_fields, segments), of_fields, segments))
+    return found

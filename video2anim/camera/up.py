@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from jaxtyping import Float
@@ -78,6 +78,19 @@ def up_by_lifter(
     return total / np.linalg.norm(total)
 
 
+def up_by_images(cameras: Sequence[FieldCamera], R_first_camera: Float[np.ndarray, "cameras 3 3"]) -> UpEvidence:
+    """Up direction by the images of some frames, in the first camera's axes: that of the frame which agrees best with
+    the others. Its standard deviation is at least the median angle to them: what misleads an image, lines of objects
+    that stand at an angle above all, changes along the way of a camera.
+    """
+    up = np.einsum("nab,nb->na", R_first_camera, np.stack([camera.up_camera for camera in cameras]))
+    apart_rad = np.arccos(np.clip(up @ up.T, -1, 1))
+    best = int(apart_rad.sum(1).argmin())
+    others = np.delete(apart_rad[best], best)
+    sigma_rad = max(cameras[best].up_sigma_rad, float(np.median(others)) if len(others) else 0.0)
+    return UpEvidence("image", up[best], sigma_rad)
+
+
 def combined_up(evidence: Sequence[UpEvidence]) -> tuple[Float[np.ndarray, "3"], float]:
     """Mean of the up directions of all sources, weighted by their variances, and its standard deviation in radians."""
     up, sigma_rad = evidence[0].up_camera, evidence[0].sigma_rad
@@ -98,7 +111,7 @@ def angle_rad(a: Float[np.ndarray, "3"], b: Float[np.ndarray, "3"]) -> float:
 
 def up_evidence(
     by_lifter: Float[np.ndarray, "3"],
-    image: FieldCamera,
+    by_image: UpEvidence,
     focal_px: float,
     points: Float[np.ndarray, "points 3"],
 ) -> tuple[UpEvidence, ...]:
@@ -106,13 +119,13 @@ def up_evidence(
 
     Args:
         by_lifter: Of people's poses.
-        image: Camera by the image.
+        by_image: Of the images.
         focal_px: An image is no more certain than a pixel at this distance.
         points: Background points of known depth that a traveling camera has passed, in the first camera's axes.
     """
-    ground = ground_up(points, image.up_camera)
+    ground = ground_up(points, by_image.up_camera)
     sources = [
         UpEvidence("people", by_lifter, _LIFTER_SIGMA_RAD),
-        UpEvidence("image", image.up_camera, max(image.up_sigma_rad, 1 / focal_px)),
+        replace(by_image, sigma_rad=max(by_image.sigma_rad, 1 / focal_px)),
     ]
     return (*sources, *([] if ground is None else [UpEvidence("ground", ground, SLOPE_SIGMA_RAD)]))
