@@ -46,6 +46,14 @@ def seen_by(
     return BackgroundTracks(np.concatenate(frames), np.concatenate(points), np.concatenate(pixels))
 
 
+def distorted(tracks: BackgroundTracks, coefficient: float) -> BackgroundTracks:
+    """The same through a lens with a first radial coefficient."""
+    middle_px = np.array([LENS.cx_px, LENS.cy_px])
+    ray = (tracks.pixel - middle_px) / LENS.fx_px
+    pixel = middle_px + LENS.fx_px * ray * (1 + coefficient * (ray**2).sum(1, keepdims=True))
+    return BackgroundTracks(tracks.frame, tracks.point, pixel)
+
+
 def turn_error_deg(T: np.ndarray, turn: np.ndarray) -> float:
     """Largest angle between estimated and true rotations."""
     off = Rotation.from_rotvec(turn).inv() * Rotation.from_matrix(T[:, :3, :3])
@@ -156,10 +164,8 @@ def test_relief_is_not_turned_inside_out(seed: int) -> None:
     sway_m = np.c_[0.3 * np.sin(t / 10), 0 * t, 0.15 * np.sin(t / 13)]
     turn = np.c_[0.01 * np.sin(t / 7), -sway_m[:, 0] / 9, 0 * t]
     seen = seen_by(turn, sway_m, moving_ratio=0.0, depths_m=(8.5, 9.5), nearer_below=1.0, seed=seed)
-    centered = (seen.pixel - [LENS.cx_px, LENS.cy_px]) / LENS.fx_px
-    distorted = centered * (1 - 0.1 * (centered**2).sum(1, keepdims=True)) * LENS.fx_px + [LENS.cx_px, LENS.cy_px]
     shorter = Intrinsics.centered(0.8 * LENS.fx_px, 960, 540)
-    path = path_of_tracks(BackgroundTracks(seen.frame, seen.point, distorted), FRAMES, shorter, 0.15)
+    path = path_of_tracks(distorted(seen, -0.1), FRAMES, shorter, 0.15)
     _, y, depth = path.points.place.T
     assert len(depth) > 50
     # Depth falls down the image: z = 9 m - y.
@@ -176,9 +182,14 @@ def test_a_small_way_around_something_is_no_evidence_of_another_lens(seed: int) 
     assert abs(path.log_focal) < path.focal_log_sigma
 
 
-def test_points_at_one_distance_have_no_known_depth() -> None:
-    """Their motion is also that of a camera that turns, seen through a wrong lens."""
-    path = path_of_tracks(seen_by(still, sideways_m, depths_m=(9.8, 10.2)), FRAMES, LENS, 0.0)
+@pytest.mark.parametrize("distortion", [-0.1, 0.1])
+@pytest.mark.parametrize("assumed", [0.8, 1.25])
+def test_a_lens_that_distorts_makes_no_path_of_a_turn(assumed: float, distortion: float) -> None:
+    turn = np.c_[0.02 * np.sin(t / 4), 0.05 * np.sin(t / 15), 0 * t]
+    seen = seen_by(turn, still, moving_ratio=0.0)
+    wrong = Intrinsics.centered(assumed * LENS.fx_px, 960, 540)
+    path = path_of_tracks(distorted(seen, distortion), FRAMES, wrong, 0.15)
+    assert not path.T_first_camera[:, :3, 3].any()
     assert len(path.points.place) == 0
 
 

@@ -13,7 +13,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 from jaxtyping import Bool, Float, Int
 from scipy.spatial.transform import Rotation, Slerp
-from scipy.stats import median_abs_deviation
 
 from video2anim.camera.background_tracks import MIN_POINTS, BackgroundMotion, BackgroundTracks
 from video2anim.camera.bundle_adjustment import (
@@ -44,10 +43,6 @@ _FAR = 0.02
 """Inverse depth that points behind the camera start from: 50 times the usual depth."""
 _DEPTH_SIGMA = 0.1
 """Standard deviation of a point's depth, as a share of it, up to which it is known."""
-_MIN_SPREAD = 0.1
-"""Robust standard deviation of the logarithm of distance below which no depth is known: points at one distance are what
-a lens with distortion makes of a camera that turns. It is 0.03 on `gvhmr_tennis`, whose points are 5 to 50 m away, 0.16
-and more on clips whose cameras travel (those of `_SAME_ERROR`)."""
 _SAME_ERROR, _NOISE_ERROR = 2.0, 1.5
 """A camera only turns unless a path explains the median point so many times better, and surely only turns if it does
 less than the second. Inverse depths of pure noise in two keyframes make it 1.24 times better (half-normal and Rayleigh
@@ -122,9 +117,6 @@ def _points_of_known_depth(poses: Poses, rho: np.ndarray, observed: Observations
     if not known.any():
         return BackgroundPoints.none()
     place = known_points(poses, rho, observed)[known] / rho[known, None]
-    log = np.log(np.linalg.norm(place, axis=1))
-    if 1.4826 * median_abs_deviation(log) < _MIN_SPREAD:
-        return BackgroundPoints.none()
     return BackgroundPoints(place, log_sigma[known], observed.anchor[known] == 0)
 
 
