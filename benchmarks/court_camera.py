@@ -1,23 +1,29 @@
 """The camera of the clip `gvhmr_tennis` by the lines of the tennis court, the truth that `real_clips.py` compares with.
 
-    python benchmarks/court_camera.py
+    python benchmarks/court_camera.py [SCENE_DIR ...]
 
 Points on lines were read off the first frame to half a pixel; where the lines are is in the Rules of Tennis of the
 International Tennis Federation (appendix IX: 23.77 m long, 10.97 m wide, singles sidelines 1.37 m inside, service lines
 6.40 m from the net, all to the outer edge). Focal length, pose and radial distortion are fitted by least squares of the
 image distance between points and lines. Prints the focal length with its standard deviation, the camera's height, and
-what is left.
+what is left; and for scene folders of the clip, what their cameras say of the same: focal length, gravity, height, and
+two lengths on the ground, both as shares of the true ones.
 """
 
 from __future__ import annotations
 
+import argparse
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from jaxtyping import Float
 from scipy.optimize import least_squares
 from scipy.spatial.transform import Rotation
+
+from video2anim.lab.eval.results import SceneResult
+from video2anim.types import BodyMotion, MetricDepth
 
 SIZE_PX = np.array([812, 720])
 HALF_LENGTH_M, HALF_WIDTH_M, SINGLES_M, SERVICE_M, HALF_LINE_M = 11.885, 5.485, 4.115, 6.40, 0.025
@@ -37,6 +43,11 @@ ALONG = {
     HALF_LINE_M - HALF_WIDTH_M: [(5, 449.5), (40, 437.5), (80, 424.5), (120, 411.5), (160, 398.5), (523.5, 279.5)],
 }  # fmt: skip
 """Points on lines along the court, by how far to the right of its middle they are (m)."""
+LENGTHS = {
+    "baseline to service line": ((726, 672), (807, 452.7), HALF_LENGTH_M - SERVICE_M - HALF_LINE_M),
+    "service line to the other": ((200.3, 449.3), (552.5, 304.8), 2 * SERVICE_M + HALF_LINE_M),
+}
+"""Two points (pixels) on the center line or a sideline, and how far apart they are (m)."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -85,8 +96,30 @@ def court_camera() -> CourtCamera:
     return CourtCamera(focal_px, focal_px * sigma, fit.x[5:], up, float(np.sqrt(np.mean(fit.fun**2))))
 
 
+def of_scene(body: BodyMotion, truth: CourtCamera) -> str:
+    """What the camera of a scene says, against the truth."""
+    k, T = body.intrinsics, body.T_world_camera[0]
+
+    def on_ground(pixel: tuple[float, float]) -> np.ndarray:
+        ray = T[:3, :3] @ [(pixel[0] - k.cx_px) / k.fx_px, (pixel[1] - k.cy_px) / k.fy_px, 1.0]
+        return T[:3, 3] - ray * (T[1, 3] / ray[1])
+
+    off = np.degrees(np.arccos(np.clip(truth.up_camera @ T[1, :3], -1, 1)))
+    lengths = [
+        f"{name} {np.linalg.norm(on_ground(first) - on_ground(second)) / true_m:.2f}"
+        for name, (first, second, true_m) in LENGTHS.items()
+    ]
+    return (
+        f"focal length {k.fx_px / truth.focal_px:.2f}, gravity {off:.1f} degrees off, height "
+        f"{T[1, 3] / truth.center_m[2]:.2f}, {', '.join(lengths)}"
+    )
+
+
 def main() -> None:
-    """Print the camera."""
+    """Print the camera, and what scenes say of it."""
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("scenes", type=Path, nargs="*", help="scene folders of the clip")
+    options = parser.parse_args()
     camera = court_camera()
     x, y, z = camera.center_m
     sys.stdout.write(
@@ -94,6 +127,11 @@ def main() -> None:
         f"{-y - HALF_LENGTH_M:.2f} m behind the baseline, {x:.2f} m right of the middle; "
         f"points are {camera.off_px:.1f} px from their lines\n"
     )
+    for folder in options.scenes:
+        metric = SceneResult(folder).get(MetricDepth)
+        if metric is None:
+            raise SystemExit(f"{folder}: no result of stage metric")
+        sys.stdout.write(f"{folder}: {of_scene(metric.bodies.main, camera)}\n")
 
 
 if __name__ == "__main__":
