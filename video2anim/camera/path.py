@@ -169,13 +169,8 @@ def _keyframe_poses(
         sure = own & (looks[seen.point] > 1)
         used = sure if sure.sum() >= MIN_POINTS else own
         some = seen.point[used]
-        R, center, _ = locate(
-            known_points(poses, rho, seen)[some],
-            rho[some],
-            seen.seen[used],
-            seen.sigma,
-            (poses.R[-1], poses.center[-1]),
-        )
+        place = known_points(poses, rho, seen)[some]
+        R, center, _ = locate(place, rho[some], seen.seen[used], seen.sigma, (poses.R[-1], poses.center[-1]))
         poses = Poses(np.r_[poses.R, R[None]], np.r_[poses.center, center[None]])
         known = seen.among(camera + 1)
         signed = _triangulated(poses, known)
@@ -193,16 +188,16 @@ def _keyframe_poses(
     off = [float(np.median(np.linalg.norm(errors(*fit, seen), axis=1))) for fit in (turning, moving)]
     # Of two coordinates of every observation, an inverse depth takes one per point.
     freedom = 1 - len(np.unique(seen.point)) / max(2 * len(seen.point), 1)
-    better = off[0] * freedom**0.5 / off[1]
+    better = off[0] * freedom**0.5 / max(off[1], 1e-9)
     fit = turning if better < _SAME_ERROR else moving
     if not free:
         return *fit, focal_sigma
-    variance, before = 1 / focal_information(*fit, seen), focal_sigma**-2
+    told, before = focal_information(*fit, seen), focal_sigma**-2
     if _NOISE_ERROR < better < _SAME_ERROR:
         # As likely it goes a little way around what it looks at, which as a turn alone has a focal length of a third.
-        variance += 0.25 * (turning[0].log_focal - moving[0].log_focal) ** 2
-    poses = replace(fit[0], log_focal=fit[0].log_focal / (1 + variance * before))
-    return *adjust(poses, fit[1], seen), (1 / variance + before) ** -0.5
+        told /= 1 + 0.25 * told * (turning[0].log_focal - moving[0].log_focal) ** 2
+    poses = replace(fit[0], log_focal=fit[0].log_focal * told / (told + before))
+    return *adjust(poses, fit[1], seen), (told + before) ** -0.5
 
 
 def _in_front(poses: Poses, rho: Float[np.ndarray, "points"]) -> tuple[Poses, Float[np.ndarray, "points"]]:
