@@ -138,4 +138,4 @@ def _select(people: tuple[PersonTrack, ...], wanted: str) -> tuple[int, ...]:
     raise UsageError(f"--person {wanted}: want `largest`, `all` or one of the IDs found: {found}")
 
 
-STAGE = StageSpec("track", track_people, version=16, models=("pose", "finder"))
+STAGE = StageSpec("track", track_people, version=17, models=("pose", "finder"))

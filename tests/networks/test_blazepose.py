@@ -158,6 +158,27 @@ def test_heat_maps_have_no_bias_to_a_side(pose: blazepose.BlazePose, lab: np.nda
     assert 0.0 < float(np.abs(own.world_m - other.world_m)[:33].mean()) < 0.05, "alike, but not the same"
 
 
+def answer(left_x: float, visibility: float) -> blazepose.CropAnswer:
+    """A torso whose left side is at `left_x`, and the right one mirrored at the axis of the crop."""
+    points = np.full((39, 2), 0.5)
+    points[[11, 23]], points[[12, 24]] = [left_x, 0.4], [1 - left_x, 0.4]
+    return blazepose.CropAnswer(1.0, points, np.full(39, visibility), np.zeros((39, 3)), np.zeros((64, 64)))
+
+
+def test_answers_that_agree_are_averaged() -> None:
+    found = answer(0.6, 0.9).joined(answer(0.7, 0.7), None)
+    assert found.points_crop[11, 0] == pytest.approx(0.65)
+    assert found.visibility[0] == pytest.approx(0.8)
+
+
+@pytest.mark.parametrize(("sides", "left_x"), [(None, 0.3), (np.array([0.1, 0.0]), 0.7), (np.array([-0.1, 0.0]), 0.3)])
+def test_front_and_back_are_not_averaged(sides: np.ndarray | None, left_x: float) -> None:
+    """The mean of both would have the torso on its axis. What was seen before decides, otherwise what is more
+    visible."""
+    for one, other in ((answer(0.7, 0.7), answer(0.3, 0.9)), (answer(0.3, 0.9), answer(0.7, 0.7))):
+        assert one.joined(other, sides).points_crop[11, 0] == left_x
+
+
 def test_turned_picture_gives_the_same_body(pose: blazepose.BlazePose, lab: np.ndarray) -> None:
     """World landmarks are in the picture's axes whatever the crop's rotation."""
     found = person_detection.confirm(pose, lab, person_detection.scan(pose, lab, min_score=0.5)[0])

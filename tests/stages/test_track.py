@@ -68,7 +68,7 @@ class FakePose:
             np.stack([center, rim, center, rim], axis=1),
         )
 
-    def estimate(self, image: np.ndarray, roi: SquareRoi) -> PoseEstimate:
+    def estimate(self, image: np.ndarray, roi: SquareRoi, before: PoseEstimate | None = None) -> PoseEstimate:
         frame = int(image[0, 0, 0])
         for people, presence in ((self.walkers, 1.0), (self.ghosts, 0.2)):
             for walker in people:
@@ -163,9 +163,9 @@ def test_a_picture_shown_in_several_frames_is_looked_at_once(
     looked: list[int] = []
     estimate = FakePose.estimate
 
-    def counted(self: FakePose, image: np.ndarray, roi: SquareRoi) -> PoseEstimate:
+    def counted(self: FakePose, image: np.ndarray, roi: SquareRoi, before: PoseEstimate | None = None) -> PoseEstimate:
         looked.append(int(image[0, 0, 0]))
-        return estimate(self, image, roi)
+        return estimate(self, image, roi, before)
 
     monkeypatch.setattr(FakePose, "estimate", counted)
     tracks = run(FakePose([walker, late]), 90, repeat=3, person="all")
@@ -218,7 +218,7 @@ class SlidingPose(FakePose):
             found if image[0, 0, 0] == 0 else Detections(found.score[:0], found.face_box_px[:0], found.keypoints_px[:0])
         )
 
-    def estimate(self, image: np.ndarray, roi: SquareRoi) -> PoseEstimate:
+    def estimate(self, image: np.ndarray, roi: SquareRoi, before: PoseEstimate | None = None) -> PoseEstimate:
         whole, walker = super().estimate(image, roi), self.walkers[0]
         is_part = roi.radius_px < 0.9 * walker.radius_px or image[0, 0, 0] == self.slides_in
         size_px = walker.radius_px * (0.6 if is_part else 1.0)

@@ -20,7 +20,7 @@ from jaxtyping import Float, UInt8
 
 from video2anim.errors import ModelMissingError
 from video2anim.networks.blazepose_detector import BlazePoseDetector, Detections
-from video2anim.networks.landmarks import LANDMARKS, MIRROR_LANDMARK
+from video2anim.networks.landmarks import BLAZEPOSE_OF_KEYPOINT, LANDMARKS, MIRROR_LANDMARK
 from video2anim.networks.network import sigmoid
 from video2anim.networks.roi import SquareRoi
 from video2anim.networks.tflite import TfliteNet
@@ -29,6 +29,9 @@ _ALL = 39
 """With the points of the next crop."""
 _CENTER, _RIM = LANDMARKS, LANDMARKS + 1
 _MIRROR = np.concatenate([MIRROR_LANDMARK, np.arange(LANDMARKS, _ALL)])
+_LEFT, _RIGHT = (
+    [BLAZEPOSE_OF_KEYPOINT[f"{side}_{part}"] for part in ("shoulder", "hip")] for side in ("left", "right")
+)
 _HEATMAP_KERNEL = 7
 _HEATMAP_MIN = 0.5
 
@@ -72,11 +75,21 @@ class CropAnswer(NamedTuple):
         points_crop = np.stack([1.0 - points_crop[:, 0], points_crop[:, 1]], -1)
         return CropAnswer(self.presence, points_crop, self.visibility[_MIRROR], world_m, self.mask[:, ::-1])
 
-    def mean(self, other: CropAnswer) -> CropAnswer:
-        """Of two answers."""
+    @property
+    def sides(self) -> Float[np.ndarray, "2"]:
+        """From the right to the left of the torso: its sign tells the front from the back."""
+        return (self.points_crop[_LEFT] - self.points_crop[_RIGHT]).sum(0)
+
+    def joined(self, other: CropAnswer, sides: Float[np.ndarray, "2"] | None) -> CropAnswer:
+        """The mean of two answers for one body. If one takes the front for the back, a mean would have all of the
+        torso on its axis: then the landmarks are those of the one which has its sides as the body had them before, or
+        which is more visible if that is not known."""
+        points_crop, world_m = 0.5 * (self.points_crop + other.points_crop), 0.5 * (self.world_m + other.world_m)
+        if self.sides @ other.sides < 0:
+            better = max((self, other), key=lambda one: one.visibility.sum() if sides is None else one.sides @ sides)
+            points_crop, world_m = better.points_crop, better.world_m
         return CropAnswer(
-            0.5 * (self.presence + other.presence), 0.5 * (self.points_crop + other.points_crop),
-            0.5 * (self.visibility + other.visibility), 0.5 * (self.world_m + other.world_m),
+            0.5 * (self.presence + other.presence), points_crop, 0.5 * (self.visibility + other.visibility), world_m,
             0.5 * (self.mask + other.mask),
         )  # fmt: skip
 
@@ -107,11 +120,21 @@ class BlazePose:
         """People who fill a large part of the image."""
         return self._detector.detect(image, min_score=min_score)
 
-    def estimate(self, image: UInt8[np.ndarray, "height width 3"], roi: SquareRoi) -> PoseEstimate:
+    def estimate(
+        self, image: UInt8[np.ndarray, "height width 3"], roi: SquareRoi, before: PoseEstimate | None = None
+    ) -> PoseEstimate:
         """Landmarks of the person in the square: the mean of those in the crop and in the mirrored crop, since a part
-        of the network's errors differs."""
+        of the network's errors differs.
+
+        Args:
+            image: RGB image.
+            roi: The square.
+            before: Of the person in the image before, which tells the front from the back if the crops do not.
+        """
         crop = roi.crop(image, self._net.input_size_px).astype(np.float32) / 255.0
-        found = self.answer(crop).mean(self.answer(crop[:, ::-1]).mirrored())
+        points = None if before is None else roi.to_crop(before.landmarks_px)
+        sides = None if points is None else (points[_LEFT] - points[_RIGHT]).sum(0)
+        found = self.answer(crop).joined(self.answer(crop[:, ::-1]).mirrored(), sides)
         points_px = roi.to_pixels(found.points_crop)
         return PoseEstimate(
             presence=found.presence,

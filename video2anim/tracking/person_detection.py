@@ -138,9 +138,10 @@ def confirm(pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], roi: Sq
     return None
 
 
-def follow(pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], roi: SquareRoi) -> PoseEstimate | None:
-    """The person of a known crop in the next image; None where it is lost."""
-    found = pose.estimate(image, roi)
+def follow(pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], last: PoseEstimate) -> PoseEstimate | None:
+    """A known person in the next image; None where it is lost."""
+    roi = last.next_roi
+    found = pose.estimate(image, roi, last)
     seen = found.presence >= MIN_PRESENCE_KEPT and found.visibility.mean() >= MIN_VISIBILITY_KEPT
     return found if seen and _continuous(roi, found.next_roi) else None
 

@@ -174,7 +174,7 @@ class Tracker:
             if not _is_seen_better(track, frame):
                 continue
             own, later = track.estimates.get(frame), track.estimates[frame + 1]
-            found = later if same_picture else finder.follow(self._pose, image, later.next_roi)
+            found = later if same_picture else finder.follow(self._pose, image, later)
             others = [seen for seen in self._seen(frame) if seen is not own]
             if found is None or any(finder.same_person(found, other) for other in others):
                 continue
@@ -190,7 +190,7 @@ class Tracker:
     def _follow(self, track: Track, frame: int, image: np.ndarray) -> None:
         lost = frame - track.last_frame - 1
         if lost < _HELD_FRAMES:
-            found = finder.follow(self._pose, image, track.last.next_roi)
+            found = finder.follow(self._pose, image, track.last)
             if found is not None:
                 track.put(frame, finder.head_up(self._pose, image, found))
                 return
