@@ -54,6 +54,7 @@ def track_people(clip: VideoClip, config: TrackConfig, ctx: StageContext) -> Per
         UsageError: `person` names nobody found.
         ModelMissingError: the models' weights cannot be had.
     """
+    from video2anim.tracking.sides import without_reversals
     from video2anim.tracking.tracker import Tracker, rejoined
     from video2anim.video import read_frames
     from video2anim.video.heap import frames_in_mapped_memory
@@ -82,7 +83,8 @@ def track_people(clip: VideoClip, config: TrackConfig, ctx: StageContext) -> Per
                     tracker.step_back(frame, image, same_picture=bool(repeated[frame + 1]))
     ranked = _ranked(rejoined(tracker.tracks, round(config.max_away_s * clip.fps)))
     size_px = clip.width_px, clip.height_px
-    people = tuple(track.rows(number, *size_px) for number, track in enumerate(ranked, start=1))
+    rows = [track.rows(number, *size_px) for number, track in enumerate(ranked, start=1)]
+    people = tuple(without_reversals(person, clip.fps) for person in rows)
     thumbnails = tuple(Thumbnail(number, *track.best[1:]) for number, track in enumerate(ranked, start=1))
     if not people:
         raise StageError(
@@ -138,4 +140,4 @@ def _select(people: tuple[PersonTrack, ...], wanted: str) -> tuple[int, ...]:
     raise UsageError(f"--person {wanted}: want `largest`, `all` or one of the IDs found: {found}")
 
 
-STAGE = StageSpec("track", track_people, version=17, models=("pose", "finder"))
+STAGE = StageSpec("track", track_people, version=18, models=("pose", "finder"))

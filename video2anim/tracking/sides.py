@@ -1,0 +1,53 @@
+"""Front and back of people who are seen small or from behind: no body turns around within a frame."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from jaxtyping import Float
+
+from video2anim.networks.landmarks import BLAZEPOSE_OF_KEYPOINT, MIRROR_LANDMARK
+from video2anim.types import PersonTrack
+
+_CLEAR = 0.1
+"""Width of the torso over its height from which a view is from the front or from behind, not from the side."""
+_SHORT_S = 0.2
+"""Longest time for which a body is taken for one that faces the other way: nobody turns around and back in it."""
+_LEFT, _RIGHT = (
+    [BLAZEPOSE_OF_KEYPOINT[f"{side}_{part}"] for part in ("shoulder", "hip")] for side in ("left", "right")
+)
+_SHOULDERS, _HIPS = [_LEFT[0], _RIGHT[0]], [_LEFT[1], _RIGHT[1]]
+
+
+def without_reversals(track: PersonTrack, fps: float) -> PersonTrack:
+    """The track in which landmarks that turn around within a frame, and soon back, face the way that they did before.
+
+    A body that faces the other way has the same outline if left and right, and near and far, are exchanged.
+    """
+    width = _torso_width(track.landmarks_px)
+    clear = track.valid & (np.abs(width) > _CLEAR)
+    turned = np.flatnonzero(clear[1:] & clear[:-1] & (width[1:] * width[:-1] < 0)) + 1
+    reversed_frames, last = np.zeros(len(width), bool), None
+    for frame in turned:
+        if last is not None and frame - last <= _SHORT_S * fps:
+            reversed_frames[last:frame] = True
+            last = None
+        else:
+            last = frame
+    if not reversed_frames.any():
+        return track
+    points_px, points_m, visibility = (
+        np.where(reversed_frames.reshape(-1, *[1] * (values.ndim - 1)), values[:, MIRROR_LANDMARK] * sign, values)
+        for values, sign in (
+            (track.landmarks_px, 1.0), (track.landmarks_m, np.array([1.0, 1.0, -1.0])), (track.visibility, 1.0)
+        )
+    )  # fmt: skip
+    return replace(track, landmarks_px=points_px, landmarks_m=points_m, visibility=visibility)
+
+
+def _torso_width(landmarks_px: Float[np.ndarray, "frames 33 2"]) -> Float[np.ndarray, "frames"]:
+    """Width over height of the torso, positive if its left is to the right of its spine."""
+    across = (landmarks_px[:, _LEFT] - landmarks_px[:, _RIGHT]).mean(1)
+    spine = landmarks_px[:, _SHOULDERS].mean(1) - landmarks_px[:, _HIPS].mean(1)
+    return (spine[:, 0] * across[:, 1] - spine[:, 1] * across[:, 0]) / np.maximum((spine**2).sum(1), 1e-9)
