@@ -140,4 +140,4 @@ def _select(people: tuple[PersonTrack, ...], wanted: str) -> tuple[int, ...]:
     raise UsageError(f"--person {wanted}: want `largest`, `all` or one of the IDs found: {found}")
 
 
-STAGE = StageSpec("track", track_people, version=18, models=("pose", "finder"))
+STAGE = StageSpec("track", track_people, version=19, models=("pose", "finder"))

@@ -87,7 +87,8 @@ class CropAnswer(NamedTuple):
         points_crop, world_m = 0.5 * (self.points_crop + other.points_crop), 0.5 * (self.world_m + other.world_m)
         if self.sides @ other.sides < 0:
             better = max((self, other), key=lambda one: one.visibility.sum() if sides is None else one.sides @ sides)
-            points_crop, world_m = better.points_crop, better.world_m
+            # The next crop stays that of the mean: it is about the body, whichever way that faces.
+            points_crop[:LANDMARKS], world_m = better.points_crop[:LANDMARKS], better.world_m
         return CropAnswer(
             0.5 * (self.presence + other.presence), points_crop, 0.5 * (self.visibility + other.visibility), world_m,
             0.5 * (self.mask + other.mask),
