@@ -421,10 +421,9 @@ def test_screenshots_of_all_motions(scene: Scene, tmp_path: Path) -> None:
         answer = video2anim("view", scene.folder, "--screenshot", path, "--frame", "20", "--motion", motion)
         assert answer.code == 0, answer.err
         pictures[motion] = cv2.imread(str(path)).astype(int)
-    # Where contacts are kept already, stage keyframes leaves the body as it is.
-    for motion in ("raw", "keyframes"):
-        changed = (np.abs(pictures[motion] - pictures["refined"]).max(-1) > 20).mean()
-        assert 0.058 < changed < 0.232, "another body in the same room, seen from a little beside"
+    for one, other, wanted in (("raw", "keyframes", 0.006), ("keyframes", "refined", 0.116)):
+        changed = (np.abs(pictures[one] - pictures[other]).max(-1) > 20).mean()
+        assert wanted / 2 < changed < 2 * wanted, "another body in the same room, seen from a little beside"
 
 
 MOMENTS = (".unfinished-*_track-*", "[0-9]*_humans", ".unfinished-*_export-*/preview.mp4", "[0-9]*_export")

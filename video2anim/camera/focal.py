@@ -44,8 +44,6 @@ class FocalEstimate:
             log_focal: Logarithm of the focal length over this one.
             log_sigma: Its standard deviation.
         """
-        if self.source == "user":
-            return self
         # What the motion tells outweighs what was known where it adds more information than there was.
         source = "motion" if log_sigma < self.sigma_ratio / math.sqrt(2) else self.source
         return replace(self, focal_px=self.focal_px * math.exp(log_focal), sigma_ratio=log_sigma, source=source)

@@ -20,7 +20,7 @@ from jaxtyping import Float, UInt8
 
 from video2anim.errors import ModelMissingError
 from video2anim.networks.blazepose_detector import BlazePoseDetector, Detections
-from video2anim.networks.landmarks import BLAZEPOSE_OF_KEYPOINT, LANDMARKS, MIRROR_LANDMARK
+from video2anim.networks.landmarks import LANDMARKS, LEFT_TORSO, MIRROR_LANDMARK, RIGHT_TORSO
 from video2anim.networks.network import sigmoid
 from video2anim.networks.roi import SquareRoi
 from video2anim.networks.tflite import TfliteNet
@@ -29,9 +29,6 @@ _ALL = 39
 """With the points of the next crop."""
 _CENTER, _RIM = LANDMARKS, LANDMARKS + 1
 _MIRROR = np.concatenate([MIRROR_LANDMARK, np.arange(LANDMARKS, _ALL)])
-_LEFT, _RIGHT = (
-    [BLAZEPOSE_OF_KEYPOINT[f"{side}_{part}"] for part in ("shoulder", "hip")] for side in ("left", "right")
-)
 _HEATMAP_KERNEL = 7
 _HEATMAP_MIN = 0.5
 
@@ -78,7 +75,7 @@ class CropAnswer(NamedTuple):
     @property
     def sides(self) -> Float[np.ndarray, "2"]:
         """From the right to the left of the torso: its sign tells the front from the back."""
-        return (self.points_crop[_LEFT] - self.points_crop[_RIGHT]).sum(0)
+        return (self.points_crop[LEFT_TORSO] - self.points_crop[RIGHT_TORSO]).sum(0)
 
     def joined(self, other: CropAnswer, sides: Float[np.ndarray, "2"] | None) -> CropAnswer:
         """The mean of two answers for one body. If one takes the front for the back, a mean would have all of the
@@ -130,11 +127,11 @@ class BlazePose:
         Args:
             image: RGB image.
             roi: The square.
-            before: Of the person in the image before, which tells the front from the back if the crops do not.
+            before: Of the person in the image before or after, which tells the front from the back if the crops do not.
         """
         crop = roi.crop(image, self._net.input_size_px).astype(np.float32) / 255.0
         points = None if before is None else roi.to_crop(before.landmarks_px)
-        sides = None if points is None else (points[_LEFT] - points[_RIGHT]).sum(0)
+        sides = None if points is None else (points[LEFT_TORSO] - points[RIGHT_TORSO]).sum(0)
         found = self.answer(crop).joined(self.answer(crop[:, ::-1]).mirrored(), sides)
         points_px = roi.to_pixels(found.points_crop)
         return PoseEstimate(

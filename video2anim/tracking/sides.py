@@ -7,17 +7,14 @@ from dataclasses import replace
 import numpy as np
 from jaxtyping import Float
 
-from video2anim.networks.landmarks import BLAZEPOSE_OF_KEYPOINT, MIRROR_LANDMARK
+from video2anim.networks.landmarks import LEFT_TORSO, MIRROR_LANDMARK, RIGHT_TORSO
 from video2anim.types import PersonTrack
 
 _CLEAR = 0.1
 """Width of the torso over its height from which a view is from the front or from behind, not from the side."""
 _SHORT_S = 0.2
 """Longest time for which a body is taken for one that faces the other way: nobody turns around and back in it."""
-_LEFT, _RIGHT = (
-    [BLAZEPOSE_OF_KEYPOINT[f"{side}_{part}"] for part in ("shoulder", "hip")] for side in ("left", "right")
-)
-_SHOULDERS, _HIPS = [_LEFT[0], _RIGHT[0]], [_LEFT[1], _RIGHT[1]]
+_SHOULDERS, _HIPS = map(list, zip(LEFT_TORSO, RIGHT_TORSO, strict=True))
 
 
 def without_reversals(track: PersonTrack, fps: float) -> PersonTrack:
@@ -48,6 +45,6 @@ def without_reversals(track: PersonTrack, fps: float) -> PersonTrack:
 
 def _torso_width(landmarks_px: Float[np.ndarray, "frames 33 2"]) -> Float[np.ndarray, "frames"]:
     """Width over height of the torso, positive if its left is to the right of its spine."""
-    across = (landmarks_px[:, _LEFT] - landmarks_px[:, _RIGHT]).mean(1)
+    across = (landmarks_px[:, LEFT_TORSO] - landmarks_px[:, RIGHT_TORSO]).mean(1)
     spine = landmarks_px[:, _SHOULDERS].mean(1) - landmarks_px[:, _HIPS].mean(1)
     return (spine[:, 0] * across[:, 1] - spine[:, 1] * across[:, 0]) / np.maximum((spine**2).sum(1), 1e-9)
