@@ -17,8 +17,6 @@ if TYPE_CHECKING:
     from video2anim.networks.blazepose import PoseEstimate
     from video2anim.tracking.tracker import Track
 
-_MIN_MEAN_VISIBILITY = 0.5
-"""Mean probability that a landmark is seen, over a track of somebody. Not measured."""
 _PERSON = r"^(largest|all|\s*[0-9]{1,9}\s*)$"
 
 
@@ -74,14 +72,18 @@ def track_people(clip: VideoClip, config: TrackConfig, ctx: StageContext) -> Per
                 tracker.step(frame, image)
             ctx.progress(frame + 1, count)
         min_frames = max(1, round(min(config.min_track_s * clip.fps, 0.5 * count)))
-        # Who is not convincing forward would only grow by what is followed back.
-        tracker.tracks = [track for track in tracker.tracks if _is_person(track, min_frames, second)]
+        # Who is not convincing forward would only grow by what is followed back; the end of the clip cuts people short.
+        tracker.tracks = [
+            track for track in tracker.tracks
+            if _is_person(track) and (len(track.estimates) >= min_frames or track.last_frame == count - 1)
+        ]  # fmt: skip
         for start in reversed(range(0, count, second)):
             frames = range(start, min(start + second, count))
             if tracker.may_step_back(frames):
                 for frame, image in reversed(list(zip(frames, read_frames(clip, start, frames.stop), strict=True))):
                     tracker.step_back(frame, image, same_picture=bool(repeated[frame + 1]))
-    ranked = _ranked(rejoined(tracker.tracks, round(config.max_away_s * clip.fps)))
+    long = [track for track in tracker.tracks if len(track.estimates) >= min_frames]
+    ranked = _ranked(rejoined(long, round(config.max_away_s * clip.fps)))
     size_px = clip.width_px, clip.height_px
     rows = [track.rows(number, *size_px) for number, track in enumerate(ranked, start=1)]
     people = tuple(without_reversals(person, clip.fps) for person in rows)
@@ -103,17 +105,14 @@ def track_people(clip: VideoClip, config: TrackConfig, ctx: StageContext) -> Per
     return PersonTracks(people=people, selected_ids=selected, thumbnails=thumbnails)
 
 
-def _is_person(track: Track, min_frames: int, sure_frames: int) -> bool:
-    """Whether a track is long and convincing enough: its presence is on the average that of somebody new. One of less
-    than a second, which may be a mixture of two bodies at an occlusion, has to have the visibility of somebody new."""
-    from video2anim.tracking.person_detection import MIN_PRESENCE_NEW, MIN_VISIBILITY_NEW
+def _is_person(track: Track) -> bool:
+    """Whether a track is convincing: on the average it is that of somebody new."""
+    from video2anim.tracking.person_detection import MAX_DISAGREEMENT, MIN_PRESENCE_NEW
 
     estimates = track.estimates.values()
-    if float(np.mean([found.presence for found in estimates])) < MIN_PRESENCE_NEW:
-        return False
-    mean_visibility = float(np.mean([found.visibility.mean() for found in estimates]))
-    min_visibility = _MIN_MEAN_VISIBILITY if len(estimates) >= sure_frames else MIN_VISIBILITY_NEW
-    return len(estimates) >= min_frames and mean_visibility >= min_visibility
+    presence = float(np.mean([found.presence for found in estimates]))
+    disagreement = float(np.median([found.disagreement for found in estimates]))
+    return presence >= MIN_PRESENCE_NEW and disagreement <= MAX_DISAGREEMENT
 
 
 def _ranked(tracks: list[Track]) -> list[Track]:
@@ -140,4 +139,4 @@ def _select(people: tuple[PersonTrack, ...], wanted: str) -> tuple[int, ...]:
     raise UsageError(f"--person {wanted}: want `largest`, `all` or one of the IDs found: {found}")
 
 
-STAGE = StageSpec("track", track_people, version=19, models=("pose", "finder"))
+STAGE = StageSpec("track", track_people, version=21, models=("pose", "finder"))

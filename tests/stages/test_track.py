@@ -17,6 +17,7 @@ from video2anim.errors import ModelMissingError, StageError, UsageError
 from video2anim.networks import load_model
 from video2anim.networks.blazepose import BlazePose, PoseEstimate
 from video2anim.networks.blazepose_detector import Detections
+from video2anim.networks.landmarks import MIRROR_LANDMARK
 from video2anim.networks.objectron import FoundObject
 from video2anim.networks.roi import SquareRoi
 from video2anim.pipeline.stage import StageContext
@@ -36,7 +37,7 @@ class Walker:
     radius_px: float = 60.0
     hidden: Container[int] = range(0)
     dim: Container[int] = range(0)
-    """Frames in which too few landmarks are visible to tell a person who is not known."""
+    """Frames in which the landmark network contradicts itself too much to tell a person who is not known."""
     from_behind: bool = False
     """Whether BlazePose's detector misses the person."""
 
@@ -75,22 +76,21 @@ class FakePose:
                 x, y = walker.place(frame)
                 near = np.hypot(x - roi.center_x_px, y - roi.center_y_px) < 0.3 * roi.side_px
                 if near and frame not in walker.hidden:
-                    clear = 0.6 if frame in walker.dim else 1.0
-                    return self._body(np.array([x, y]), walker.radius_px, presence, roi, clear)
+                    disagreement = 0.03 if frame in walker.dim else 0.005
+                    return self._body(np.array([x, y]), walker.radius_px, presence, roi, disagreement)
         return self._body(np.array([roi.center_x_px, roi.center_y_px]), roi.radius_px, 0.0, roi)
 
     @staticmethod
     def _body(
-        hips_px: np.ndarray, radius_px: float, presence: float, roi: SquareRoi, clear: float = 1.0
+        hips_px: np.ndarray, radius_px: float, presence: float, roi: SquareRoi, disagreement: float = 0.005
     ) -> PoseEstimate:
         spread = np.random.default_rng(7).uniform(-0.8, 0.8, (33, 2)) * radius_px
         spread[[23, 24]] = [[-8.0, 0.0], [8.0, 0.0]]
         fitted = SquareRoi.from_circle(hips_px, hips_px - [0.0, radius_px])
         mask = np.zeros((64, 64), np.uint8)
         mask[24:40, 28:36] = 255
-        return PoseEstimate(
-            presence, hips_px + spread, np.zeros((33, 3)), np.full(33, 0.9 * presence * clear), mask, roi, fitted
-        )
+        visibility = np.full(33, 0.9 * presence)
+        return PoseEstimate(presence, hips_px + spread, np.zeros((33, 3)), visibility, mask, roi, fitted, disagreement)
 
 
 class FakeObjects:
@@ -247,6 +247,44 @@ def test_what_looks_like_a_person_for_a_moment_is_not_followed_back(run: Callabl
     assert len(run(FakePose([stays, chair]), 90).people) == 1
 
 
+def test_who_is_known_only_at_the_end_of_the_clip_is_followed_back(run: Callable[..., PersonTracks]) -> None:
+    stays = Walker(lambda t: (150.0, 240.0))
+    late = Walker(lambda t: (450.0, 240.0), dim=range(60))
+    first, second = run(FakePose([stays, late]), 64).people
+    assert first.valid.sum() == second.valid.sum() == 64
+
+
+class TurningPose(FakePose):
+    """From some frame on takes the front for the back, if followed into it from before, and contradicts itself."""
+
+    wrong = range(20, 40)
+
+    def __init__(self, walkers: list[Walker]) -> None:
+        super().__init__(walkers)
+        self.frame_of: dict[int, int] = {}
+        self.made: list[PoseEstimate] = []
+
+    def estimate(self, image: np.ndarray, roi: SquareRoi, before: PoseEstimate | None = None) -> PoseEstimate:
+        found, frame = super().estimate(image, roi), int(image[0, 0, 0])
+        torso = [[-25.0, -60.0], [25.0, -60.0], [-15.0, 0.0], [15.0, 0.0]]
+        found.landmarks_px[[11, 12, 23, 24]] = person_detection.hips_px(found) + torso
+        if frame in self.wrong and before is not None and self.frame_of[id(before)] < frame:
+            # Every third of them agrees with itself for once.
+            turned = found.landmarks_px[MIRROR_LANDMARK]
+            found = replace(found, landmarks_px=turned, disagreement=0.015 if frame % 3 == 0 else 0.03)
+        self.made.append(found)
+        self.frame_of[id(found)] = frame
+        return found
+
+
+def test_a_crop_that_slid_off_is_found_from_the_frames_after_it(run: Callable[..., PersonTracks]) -> None:
+    pose = TurningPose([Walker(lambda t: (300.0, 240.0))])
+    person = run(pose, 60).people[0]
+    assert person.valid.all()
+    assert (person.landmarks_px[:, 11, 0] < person.landmarks_px[:, 12, 0]).all()
+    assert any(found.disagreement > 0.02 for found in pose.made)
+
+
 def test_a_track_has_rows_for_its_own_frames_only(run: Callable[..., PersonTracks]) -> None:
     """Whoever passes through a long clip costs what the passage is long."""
     stays = Walker(lambda t: (150.0, 240.0))
@@ -379,7 +417,7 @@ def test_somebody_followed_head_down_is_looked_at_head_up(
         roi = SquareRoi.from_circle(hips_px, rim_px)
         landmarks = np.zeros((33, 2))
         return PoseEstimate(
-            presence, landmarks, np.zeros((33, 3)), np.full(33, visibility), np.zeros((64, 64), np.uint8), roi, roi
+            presence, landmarks, np.zeros((33, 3)), np.full(33, visibility), np.zeros((64, 64), np.uint8), roi, roi, 0.0
         )
 
     class Pose:
@@ -403,6 +441,6 @@ def test_of_two_estimates_of_a_body_that_of_a_part_gives_way(size: float, visibi
         roi = SquareRoi.from_circle(np.array([160.0, 120.0]), np.array([160.0, 120.0 - radius_px]))
         mask = np.zeros((64, 64), np.uint8)
         mask[:, 24:40] = 255
-        return PoseEstimate(1.0, np.zeros((33, 2)), np.zeros((33, 3)), np.full(33, visibility), mask, roi, roi)
+        return PoseEstimate(1.0, np.zeros((33, 2)), np.zeros((33, 3)), np.full(33, visibility), mask, roi, roi, 0.0)
 
     assert person_detection.is_better(seen(60.0 * size, visibility), seen(60.0, 0.8)) == better

@@ -68,7 +68,7 @@ def track(frames: range, clothing: AppearanceDescriptor | None) -> Track:
     mask = np.zeros((64, 64), np.uint8)
     made = Track(looks=clothing)
     for frame in frames:
-        made.put(frame, PoseEstimate(1.0, landmarks(150, 120), np.zeros((33, 3)), np.ones(33), mask, roi, roi))
+        made.put(frame, PoseEstimate(1.0, landmarks(150, 120), np.zeros((33, 3)), np.ones(33), mask, roi, roi, 0.0))
     return made
 
 

@@ -51,6 +51,9 @@ class PoseEstimate:
     """The crop."""
     next_roi: SquareRoi
     """The crop that fits the person found."""
+    disagreement: float
+    """Median distance between the landmarks of the crop's and of the mirrored crop's answer, as a share of the crop's
+    side: how far the network errs."""
 
     def box_px(self) -> Float[np.ndarray, "4"]:
         """x0, y0, x1, y1 around the landmarks."""
@@ -132,7 +135,9 @@ class BlazePose:
         crop = roi.crop(image, self._net.input_size_px).astype(np.float32) / 255.0
         points = None if before is None else roi.to_crop(before.landmarks_px)
         sides = None if points is None else (points[LEFT_TORSO] - points[RIGHT_TORSO]).sum(0)
-        found = self.answer(crop).joined(self.answer(crop[:, ::-1]).mirrored(), sides)
+        own, other = self.answer(crop), self.answer(crop[:, ::-1]).mirrored()
+        found = own.joined(other, sides)
+        apart_crop = np.linalg.norm((own.points_crop - other.points_crop)[:LANDMARKS], axis=1)
         points_px = roi.to_pixels(found.points_crop)
         return PoseEstimate(
             presence=found.presence,
@@ -142,6 +147,7 @@ class BlazePose:
             mask_crop=np.rint(found.mask * 255.0).astype(np.uint8),
             roi=roi,
             next_roi=SquareRoi.from_circle(points_px[_CENTER], points_px[_RIM]),
+            disagreement=float(np.median(apart_crop)),
         )
 
     def answer(self, crop: Float[np.ndarray, "side side 3"]) -> CropAnswer:

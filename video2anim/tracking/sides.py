@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from video2anim.networks.landmarks import LEFT_TORSO, MIRROR_LANDMARK, RIGHT_TORSO
 from video2anim.types import PersonTrack
@@ -22,11 +22,9 @@ def without_reversals(track: PersonTrack, fps: float) -> PersonTrack:
 
     A body that faces the other way has the same outline if left and right, and near and far, are exchanged.
     """
-    width = _torso_width(track.landmarks_px)
-    clear = track.valid & (np.abs(width) > _CLEAR)
-    turned = np.flatnonzero(clear[1:] & clear[:-1] & (width[1:] * width[:-1] < 0)) + 1
-    reversed_frames, last = np.zeros(len(width), bool), None
-    for frame in turned:
+    points_px = np.where(track.valid[:, None, None], track.landmarks_px, np.nan)
+    reversed_frames, last = np.zeros(len(track.valid), bool), None
+    for frame in np.flatnonzero(is_turned(points_px[1:], points_px[:-1])) + 1:
         if last is not None and frame - last <= _SHORT_S * fps:
             reversed_frames[last:frame] = True
             last = None
@@ -43,8 +41,17 @@ def without_reversals(track: PersonTrack, fps: float) -> PersonTrack:
     return replace(track, landmarks_px=points_px, landmarks_m=points_m, visibility=visibility)
 
 
-def _torso_width(landmarks_px: Float[np.ndarray, "frames 33 2"]) -> Float[np.ndarray, "frames"]:
+def is_turned(
+    first_px: Float[np.ndarray, "*frames 33 2"], second_px: Float[np.ndarray, "*frames 33 2"]
+) -> Bool[np.ndarray, "*frames"]:
+    """Whether one of two bodies is clearly seen from the front and the other from behind; not where one is NaN."""
+    first, second = _torso_width(first_px), _torso_width(second_px)
+    return np.asarray((np.minimum(np.abs(first), np.abs(second)) > _CLEAR) & (first * second < 0))
+
+
+def _torso_width(landmarks_px: Float[np.ndarray, "*frames 33 2"]) -> Float[np.ndarray, "*frames"]:
     """Width over height of the torso, positive if its left is to the right of its spine."""
-    across = (landmarks_px[:, LEFT_TORSO] - landmarks_px[:, RIGHT_TORSO]).mean(1)
-    spine = landmarks_px[:, _SHOULDERS].mean(1) - landmarks_px[:, _HIPS].mean(1)
-    return (spine[:, 0] * across[:, 1] - spine[:, 1] * across[:, 0]) / np.maximum((spine**2).sum(1), 1e-9)
+    across = (landmarks_px[..., LEFT_TORSO, :] - landmarks_px[..., RIGHT_TORSO, :]).mean(-2)
+    spine = landmarks_px[..., _SHOULDERS, :].mean(-2) - landmarks_px[..., _HIPS, :].mean(-2)
+    height_px2 = np.maximum((spine**2).sum(-1), 1e-9)
+    return (spine[..., 0] * across[..., 1] - spine[..., 1] * across[..., 0]) / height_px2

@@ -13,6 +13,7 @@ from video2anim.networks.blazepose_detector import box_iou
 from video2anim.networks.roi import SquareRoi
 from video2anim.tracking import person_detection as finder
 from video2anim.tracking.appearance import AppearanceDescriptor, clothing_histogram
+from video2anim.tracking.sides import is_turned
 from video2anim.types import PersonTrack
 
 if TYPE_CHECKING:
@@ -158,12 +159,12 @@ class Tracker:
                 track.put(frame, track.estimates[frame - 1])
 
     def may_step_back(self, frames: range) -> bool:
-        """Whether somebody is seen after one of these frames but not in it, or only a part of them."""
+        """Whether somebody is seen after one of these frames but not in it, or seen better than in it."""
         return any(_is_seen_better(track, frame) for track in self.tracks for frame in frames)
 
     def step_back(self, frame: int, image: np.ndarray, *, same_picture: bool = False) -> None:
-        """Follow back whoever is seen in the next frame but not in this one, or only in part: to be known, people need
-        to be seen better than to be followed.
+        """Follow back whoever is seen in the next frame but not in this one, or seen better: to be known, people need
+        to be seen better than to be followed, and a crop that has slid off finds its way back only later.
 
         Called after all frames have been taken, from the last to the first.
 
@@ -178,7 +179,8 @@ class Tracker:
             others = [seen for seen in self._seen(frame) if seen is not own]
             if found is None or any(finder.same_person(found, other) for other in others):
                 continue
-            if own is None or (finder.is_whole(found, own) and finder.is_better(found, own)):
+            whole = own is not None and finder.is_whole(found, own) and finder.is_better(found, own)
+            if own is None or whole or found.disagreement < own.disagreement:
                 track.put(frame, found)
 
     def _alive(self, frame: int) -> list[Track]:
@@ -254,9 +256,13 @@ class Tracker:
 
 
 def _is_seen_better(track: Track, frame: int) -> bool:
-    """Whether the next frame shows somebody of whom this one shows nothing, or a part."""
+    """Whether the next frame shows somebody of whom this one shows nothing, a part, a doubtful body or another side."""
     own, later = (track.estimates.get(one) for one in (frame, frame + 1))
-    return later is not None and (own is None or finder.is_whole(later, own))
+    if later is None or own is None:
+        return later is not None
+    return (
+        finder.is_whole(later, own) or finder.is_doubtful(own) or bool(is_turned(later.landmarks_px, own.landmarks_px))
+    )
 
 
 def _surprise(track: Track, frame: int) -> float:
