@@ -5,8 +5,8 @@
 Scenes are folders of `video2anim run` (stage ingest at least). Prints for each, over images a second apart, how many
 people the first finds, and the scores of those that only the second finds (the landmark network confirms both); draws
 these into a contact sheet, one row a scene, on which to see whether they are people. `MIN_OBJECT_SCORE` in
-`video2anim/tracking/person_detection.py` comes from this sheet, `MIN_VISIBILITY_NEW` from the other: all crops that
-converge, by mean visibility, with presence and visibility; red where the presence is too low for somebody new.
+`video2anim/tracking/person_detection.py` comes from this sheet, `MAX_DISAGREEMENT` from the other: all crops that
+converge, by disagreement, with presence and disagreement; red where the presence is too low for somebody new.
 """
 
 from __future__ import annotations
@@ -85,16 +85,15 @@ def main() -> None:
 
 
 def all_crops(pose: BlazePose, objects: ObjectFinder, image: np.ndarray) -> Iterator[tuple[float, np.ndarray]]:
-    """Mean visibility and picture of every crop of both detectors that converges, one of each body."""
+    """Disagreement and picture of every crop of both detectors that converges, one of each body."""
     known: list[PoseEstimate] = []
     for roi in scan(pose, image, min_score=TrackConfig().min_detection_score, objects=objects):
         found = converged(pose, image, roi)
         if found is None or any(same_person(found, other) for other in known):
             continue
         known.append(found)
-        visibility = float(found.visibility.mean())
         color = (255, 255, 0) if found.presence >= MIN_PRESENCE_NEW else (255, 0, 0)
-        yield visibility, tile(image, found, f"{found.presence:.2f} {visibility:.2f}", color)
+        yield found.doubt, tile(image, found, f"{found.presence:.2f} {found.doubt:.3f}", color)
 
 
 def more_people(

@@ -111,8 +111,8 @@ def _is_person(track: Track) -> bool:
 
     estimates = track.estimates.values()
     presence = float(np.mean([found.presence for found in estimates]))
-    disagreement = float(np.median([found.disagreement for found in estimates]))
-    return presence >= MIN_PRESENCE_NEW and disagreement <= MAX_DISAGREEMENT
+    doubt = float(np.median([found.doubt for found in estimates]))
+    return presence >= MIN_PRESENCE_NEW and doubt <= MAX_DISAGREEMENT
 
 
 def _ranked(tracks: list[Track]) -> list[Track]:
@@ -139,4 +139,4 @@ def _select(people: tuple[PersonTrack, ...], wanted: str) -> tuple[int, ...]:
     raise UsageError(f"--person {wanted}: want `largest`, `all` or one of the IDs found: {found}")
 
 
-STAGE = StageSpec("track", track_people, version=21, models=("pose", "finder"))
+STAGE = StageSpec("track", track_people, version=23, models=("pose", "finder"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import cv2
@@ -156,6 +157,21 @@ def test_heat_maps_have_no_bias_to_a_side(pose: blazepose.BlazePose, lab: np.nda
     shift = own.points_crop[list(LIMBS), 0] - other.points_crop[list(LIMBS), 0]
     assert abs(float(np.median(shift))) < 1 / 256
     assert 0.0 < float(np.abs(own.world_m - other.world_m)[:33].mean()) < 0.05, "alike, but not the same"
+
+
+def test_disagreement_of_both_answers_tells_people_from_background(pose: blazepose.BlazePose, lab: np.ndarray) -> None:
+    roi = person_detection.scan(pose, lab, min_score=0.5)[0]
+    person = person_detection.converged(pose, lab, roi)
+    assert person is not None
+    assert not person_detection.is_doubtful(person)
+    noise = np.random.default_rng(0).integers(0, 255, (60, 34, 3)).astype(np.uint8)
+    nobody = pose.estimate(cv2.resize(noise, lab.shape[1::-1]), roi)
+    assert person_detection.is_doubtful(nobody)
+    assert person_detection.is_doubtful(pose.estimate(lab, replace(person.roi, side_px=0.2 * person.roi.side_px)))
+    crop = person.roi.crop(lab, 256).astype(np.float32) / 255.0
+    own, other = pose.answer(crop), pose.answer(np.ascontiguousarray(crop[:, ::-1])).mirrored()
+    apart = np.linalg.norm(own.points_crop - other.points_crop, axis=1)
+    np.testing.assert_allclose(person.disagreement, apart[:33])
 
 
 def answer(left_x: float, visibility: float) -> blazepose.CropAnswer:

@@ -90,7 +90,9 @@ class FakePose:
         mask = np.zeros((64, 64), np.uint8)
         mask[24:40, 28:36] = 255
         visibility = np.full(33, 0.9 * presence)
-        return PoseEstimate(presence, hips_px + spread, np.zeros((33, 3)), visibility, mask, roi, fitted, disagreement)
+        return PoseEstimate(
+            presence, hips_px + spread, np.zeros((33, 3)), visibility, mask, roi, fitted, np.full(33, disagreement)
+        )
 
 
 class FakeObjects:
@@ -271,7 +273,7 @@ class TurningPose(FakePose):
         if frame in self.wrong and before is not None and self.frame_of[id(before)] < frame:
             # Every third of them agrees with itself for once.
             turned = found.landmarks_px[MIRROR_LANDMARK]
-            found = replace(found, landmarks_px=turned, disagreement=0.015 if frame % 3 == 0 else 0.03)
+            found = replace(found, landmarks_px=turned, disagreement=np.full(33, 0.015 if frame % 3 == 0 else 0.03))
         self.made.append(found)
         self.frame_of[id(found)] = frame
         return found
@@ -282,7 +284,7 @@ def test_a_crop_that_slid_off_is_found_from_the_frames_after_it(run: Callable[..
     person = run(pose, 60).people[0]
     assert person.valid.all()
     assert (person.landmarks_px[:, 11, 0] < person.landmarks_px[:, 12, 0]).all()
-    assert any(found.disagreement > 0.02 for found in pose.made)
+    assert any(found.doubt > 0.02 for found in pose.made)
 
 
 def test_a_track_has_rows_for_its_own_frames_only(run: Callable[..., PersonTracks]) -> None:
@@ -402,45 +404,57 @@ def test_nobody_is_invented(name: str, shared_media: Path, monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize(
-    ("turn_deg", "upright_presence", "upright_visibility", "head_up"),
-    [(170.0, 1.0, 0.9, True), (170.0, 0.0, 0.9, False), (170.0, 1.0, 0.5, False), (80.0, 1.0, 0.95, False)],
+    ("turn_deg", "upright_presence", "upright_doubt", "head_up"),
+    [(170.0, 1.0, 0.005, True), (170.0, 0.0, 0.005, False), (170.0, 1.0, 0.02, False), (80.0, 1.0, 0.004, False)],
 )
 def test_somebody_followed_head_down_is_looked_at_head_up(
-    turn_deg: float, upright_presence: float, upright_visibility: float, head_up: bool
+    turn_deg: float, upright_presence: float, upright_doubt: float, head_up: bool
 ) -> None:
     """After a flip the crop would stay turned; a real handstand shows nobody head up."""
     hips_px, image = np.array([160.0, 120.0]), np.zeros((HEIGHT, WIDTH, 3), np.uint8)
     turn = np.radians(turn_deg)
 
-    def seen(rotation_rad: float, presence: float, visibility: float) -> PoseEstimate:
+    def seen(rotation_rad: float, presence: float, doubt: float) -> PoseEstimate:
         rim_px = hips_px + 60.0 * np.array([np.sin(rotation_rad), -np.cos(rotation_rad)])
         roi = SquareRoi.from_circle(hips_px, rim_px)
         landmarks = np.zeros((33, 2))
         return PoseEstimate(
-            presence, landmarks, np.zeros((33, 3)), np.full(33, visibility), np.zeros((64, 64), np.uint8), roi, roi, 0.0
+            presence,
+            landmarks,
+            np.zeros((33, 3)),
+            np.ones(33),
+            np.zeros((64, 64), np.uint8),
+            roi,
+            roi,
+            np.full(33, doubt),
         )
 
     class Pose:
         def estimate(self, _: np.ndarray, roi: SquareRoi) -> PoseEstimate:
             assert roi.rotation_rad == 0.0
-            return seen(0.0, upright_presence, upright_visibility)
+            return seen(0.0, upright_presence, upright_doubt)
 
-    tracked = seen(turn, 0.95, 0.8)
+    tracked = seen(turn, 0.95, 0.01)
     found = person_detection.head_up(cast(BlazePose, Pose()), image, tracked)
     assert (found is not tracked) == head_up
 
 
 @pytest.mark.parametrize(
-    ("size", "visibility", "better"),
-    [(1.0, 0.75, False), (1.0, 0.95, True), (0.9, 0.95, True), (0.8, 1.0, False), (1.3, 0.75, True), (1.3, 0.6, False)],
-)
-def test_of_two_estimates_of_a_body_that_of_a_part_gives_way(size: float, visibility: float, better: bool) -> None:
+    ("size", "doubt", "doubt_before", "better"),
+    [
+        (1.0, 0.004, 0.01, False), (1.0, 0.01, 0.03, True), (0.9, 0.01, 0.03, True), (0.8, 0.01, 0.03, False),
+        (1.3, 0.01, 0.005, True), (1.3, 0.03, 0.005, False), (1.3, 0.03, 0.04, False),
+    ],
+)  # fmt: skip
+def test_of_two_estimates_of_a_body_that_of_a_part_gives_way(
+    size: float, doubt: float, doubt_before: float, better: bool
+) -> None:
     """Long hair seen from behind is taken for a small person in full view; the whole body is the one to keep."""
 
-    def seen(radius_px: float, visibility: float) -> PoseEstimate:
+    def seen(radius_px: float, doubt: float) -> PoseEstimate:
         roi = SquareRoi.from_circle(np.array([160.0, 120.0]), np.array([160.0, 120.0 - radius_px]))
         mask = np.zeros((64, 64), np.uint8)
         mask[:, 24:40] = 255
-        return PoseEstimate(1.0, np.zeros((33, 2)), np.zeros((33, 3)), np.full(33, visibility), mask, roi, roi, 0.0)
+        return PoseEstimate(1.0, np.zeros((33, 2)), np.zeros((33, 3)), np.ones(33), mask, roi, roi, np.full(33, doubt))
 
-    assert person_detection.is_better(seen(60.0 * size, visibility), seen(60.0, 0.8)) == better
+    assert person_detection.is_better(seen(60.0 * size, doubt), seen(60.0, doubt_before)) == better

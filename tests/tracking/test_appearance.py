@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from video2anim.networks.blazepose import PoseEstimate
 from video2anim.networks.roi import SquareRoi
+from video2anim.tracking import person_detection
 from video2anim.tracking.appearance import AppearanceDescriptor, clothing_histogram
 from video2anim.tracking.tracker import Track, rejoined
 
@@ -68,7 +71,9 @@ def track(frames: range, clothing: AppearanceDescriptor | None) -> Track:
     mask = np.zeros((64, 64), np.uint8)
     made = Track(looks=clothing)
     for frame in frames:
-        made.put(frame, PoseEstimate(1.0, landmarks(150, 120), np.zeros((33, 3)), np.ones(33), mask, roi, roi, 0.0))
+        made.put(
+            frame, PoseEstimate(1.0, landmarks(150, 120), np.zeros((33, 3)), np.ones(33), mask, roi, roi, np.zeros(33))
+        )
     return made
 
 
@@ -100,3 +105,13 @@ def test_what_is_outside_the_picture_is_not_visible() -> None:
     assert cut[[25, 26]].tolist() == [0, 0]
     assert cut[[11, 12, 23, 24]].tolist() == [1, 1, 1, 1]
     assert seen.rows(1, 180, 300).visibility[0, [11, 12]].tolist() == [0, 1]
+
+
+def test_landmarks_of_which_the_network_contradicts_itself_count_less() -> None:
+    seen = track(range(1), None)
+    apart = np.zeros(33)
+    apart[[15, 27]] = [person_detection.MAX_DISAGREEMENT, 1.0]
+    seen.put(0, replace(seen.last, disagreement=apart))
+    visibility = seen.rows(1, 400, 300).visibility[0]
+    assert visibility[[11, 15]].tolist() == [1.0, 0.5]
+    assert visibility[27] < 0.001

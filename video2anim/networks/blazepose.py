@@ -51,13 +51,18 @@ class PoseEstimate:
     """The crop."""
     next_roi: SquareRoi
     """The crop that fits the person found."""
-    disagreement: float
-    """Median distance between the landmarks of the crop's and of the mirrored crop's answer, as a share of the crop's
-    side: how far the network errs."""
+    disagreement: Float[np.ndarray, "33"]
+    """Distance between the landmarks of the crop's and of the mirrored crop's answer, as a share of the crop's side:
+    how far the network errs."""
 
     def box_px(self) -> Float[np.ndarray, "4"]:
         """x0, y0, x1, y1 around the landmarks."""
         return np.concatenate([self.landmarks_px.min(axis=0), self.landmarks_px.max(axis=0)])
+
+    @property
+    def doubt(self) -> float:
+        """Median disagreement of the landmarks."""
+        return float(np.median(self.disagreement))
 
 
 class CropAnswer(NamedTuple):
@@ -137,7 +142,6 @@ class BlazePose:
         sides = None if points is None else (points[LEFT_TORSO] - points[RIGHT_TORSO]).sum(0)
         own, other = self.answer(crop), self.answer(crop[:, ::-1]).mirrored()
         found = own.joined(other, sides)
-        apart_crop = np.linalg.norm((own.points_crop - other.points_crop)[:LANDMARKS], axis=1)
         points_px = roi.to_pixels(found.points_crop)
         return PoseEstimate(
             presence=found.presence,
@@ -147,7 +151,7 @@ class BlazePose:
             mask_crop=np.rint(found.mask * 255.0).astype(np.uint8),
             roi=roi,
             next_roi=SquareRoi.from_circle(points_px[_CENTER], points_px[_RIM]),
-            disagreement=float(np.median(apart_crop)),
+            disagreement=np.linalg.norm((own.points_crop - other.points_crop)[:LANDMARKS], axis=1),
         )
 
     def answer(self, crop: Float[np.ndarray, "side side 3"]) -> CropAnswer:

@@ -30,7 +30,7 @@ that name no measurement."""
 MIN_PRESENCE_KEPT = 0.5
 """The same for somebody who was there in the frame before: more likely there than not."""
 MAX_DISAGREEMENT = 0.02
-"""Disagreement of the landmark network's two answers above which it does not know the body. Of 118 crops with a
+"""Median disagreement of the landmark network's two answers above which it does not know the body. Of 118 crops with a
 presence of somebody new, 102 of people, also from behind, have up to 0.013; 16 of trees, chairs, blurs and people of
 whom little is seen have at least 0.025 (`benchmarks/person_detection.py`)."""
 MIN_VISIBILITY_KEPT = 0.35
@@ -51,9 +51,6 @@ _WHOLE = 1.5
 coat seen from behind and taken for somebody small has masks of 0.07 to 0.61 of the body's (`intel_table`)."""
 _WIDER = 1.6
 """Crops that may show more of a body are larger by this: more than those of one body differ (`_SAME_SIZE`)."""
-_BETTER_VISIBILITY = 0.1
-"""A second estimate of a tracked body replaces the first if its mean visibility is higher by this: a crop has slid off.
-Without the margin every search of the whole picture would add jitter."""
 _SAME_DISTANCE = 0.25
 """Distance of two torsos, in body radii, below which they are of one body."""
 _SAME_MASK_SHARE = 0.6
@@ -135,7 +132,7 @@ def confirm(pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], roi: Sq
 
 def is_doubtful(found: PoseEstimate) -> bool:
     """Whether the landmark network contradicts itself about a body."""
-    return found.disagreement > MAX_DISAGREEMENT
+    return found.doubt > MAX_DISAGREEMENT
 
 
 def converged(pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], roi: SquareRoi) -> PoseEstimate | None:
@@ -159,16 +156,15 @@ def follow(pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], last: Po
 
 
 def head_up(pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], found: PoseEstimate) -> PoseEstimate:
-    """The estimate with the head up, where a person tracked head down scores at least as well that way.
+    """The estimate with the head up, where the network is as sure of a person tracked head down that way.
 
     The crop turns with the body, so after a wrong flip a person would stay head down.
     """
     if not _is_head_down(found):
         return found
     other = pose.estimate(image, replace(found.next_roi, rotation_rad=0.0))
-    as_sure = other.presence >= min(found.presence, MIN_PRESENCE_NEW)
-    as_clear = float(other.visibility.mean()) >= float(found.visibility.mean())
-    return other if as_sure and as_clear and not _is_head_down(other) else found
+    as_sure = other.presence >= min(found.presence, MIN_PRESENCE_NEW) and other.doubt <= found.doubt
+    return other if as_sure and not _is_head_down(other) else found
 
 
 def _is_head_down(found: PoseEstimate) -> bool:
@@ -190,16 +186,11 @@ def same_person(first: PoseEstimate, second: PoseEstimate) -> bool:
 
 
 def is_better(second: PoseEstimate, first: PoseEstimate) -> bool:
-    """Whether the second of two estimates of one body replaces the first.
-
-    It does if it is clearly better visible and not of a part only, or of the whole body where the first is of a part,
-    and not clearly worse visible.
-    """
-    if is_whole(first, second):
+    """Whether the second of two estimates of one body replaces the first: the network is sure of it, and it is of the
+    whole body where the first is of a part, or the first is doubtful and not of more of the body."""
+    if is_doubtful(second) or is_whole(first, second):
         return False
-    # A larger mask may also be one of two people.
-    margin = -_BETTER_VISIBILITY if is_whole(second, first) else _BETTER_VISIBILITY
-    return bool(second.visibility.mean() > first.visibility.mean() + margin)
+    return is_doubtful(first) or is_whole(second, first)
 
 
 def is_whole(one: PoseEstimate, other: PoseEstimate) -> bool:

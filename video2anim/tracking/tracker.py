@@ -84,7 +84,8 @@ class Track:
     def rows(self, person_id: int, width_px: int, height_px: int) -> PersonTrack:
         """Rows from the first frame to the last that shows the person.
 
-        What is outside the picture of this size is not visible, however sure of it the landmark model is.
+        What is outside the picture of this size is not visible, however sure of it the landmark model is, and a
+        landmark of which it contradicts itself counts less: half where its two answers are `MAX_DISAGREEMENT` apart.
         """
         first = min(self.estimates)
         one = self.estimates[first]
@@ -101,7 +102,8 @@ class Track:
             row = frame - first
             valid[row] = True
             inside = ((found.landmarks_px >= 0) & (found.landmarks_px <= (width_px, height_px))).all(-1)
-            score[row], visibility[row] = found.presence, np.where(inside, found.visibility, 0.0)
+            agreement = 1.0 / (1.0 + (found.disagreement / finder.MAX_DISAGREEMENT) ** 2)
+            score[row], visibility[row] = found.presence, np.where(inside, found.visibility * agreement, 0.0)
             mask_crop[row] = found.mask_crop
             box_px[row], T_image_crop[row] = found.box_px(), found.roi.T_image_crop()
             landmarks_px[row], landmarks_m[row] = found.landmarks_px, found.landmarks_m
@@ -180,7 +182,7 @@ class Tracker:
             if found is None or any(finder.same_person(found, other) for other in others):
                 continue
             whole = own is not None and finder.is_whole(found, own) and finder.is_better(found, own)
-            if own is None or whole or found.disagreement < own.disagreement:
+            if own is None or whole or found.doubt < own.doubt:
                 track.put(frame, found)
 
     def _alive(self, frame: int) -> list[Track]:

@@ -29,7 +29,7 @@ class PersonTrack(Checked):
     landmarks_m: Annotated[Float[np.ndarray, "rows 33 3"], Holds.GAPS]
     """BlazePose world landmarks in meters, origin between the hips, OpenCV axes (x right, y down, z away)."""
     visibility: Annotated[Float[np.ndarray, "rows 33"], Holds.GAPS]
-    """Probability that the landmark is in the picture and not occluded."""
+    """Probability that the landmark is in the picture and not occluded, less where the model contradicts itself."""
     mask_crop: UInt8[np.ndarray, "rows 64 64"]
     """Person probability x 255 in the square crop."""
     T_image_crop: Annotated[Float[np.ndarray, "rows 2 3"], Holds.GAPS]
