@@ -55,7 +55,7 @@ def main() -> None:
     options = parser.parse_args()
     pose, objects = load_model("blazepose-heavy"), load_model("objectron")
     rows: list[np.ndarray] = []
-    crops: list[tuple[float, np.ndarray]] = []
+    crops: list[tuple[float, float, np.ndarray]] = []
     for scene in options.scenes:
         clip = read_value(VideoClip, stage_folder(scene, "ingest"))
         first, scores, row = 0, [], np.zeros((TILE_PX[1], COLUMNS * TILE_PX[0], 3), np.uint8)
@@ -78,14 +78,17 @@ def main() -> None:
     if options.sheet:
         cv2.imwrite(str(options.sheet), np.vstack(rows)[..., ::-1])
     if options.crops:
-        tiles = [shown for _, shown in sorted(crops, key=lambda crop: crop[0])]
+        crops.sort(key=lambda crop: crop[0])
+        doubts = " ".join(f"{doubt:.3f}" for doubt, presence, _ in crops if presence >= MIN_PRESENCE_NEW)
+        sys.stdout.write(f"disagreement of crops with a presence of somebody new: {doubts}\n")
+        tiles = [shown for _, _, shown in crops]
         tiles += [np.zeros((TILE_PX[1], TILE_PX[0], 3), np.uint8)] * (-len(tiles) % COLUMNS)
         lines = [np.hstack(tiles[at : at + COLUMNS]) for at in range(0, len(tiles), COLUMNS)]
         cv2.imwrite(str(options.crops), np.vstack(lines)[..., ::-1])
 
 
-def all_crops(pose: BlazePose, objects: ObjectFinder, image: np.ndarray) -> Iterator[tuple[float, np.ndarray]]:
-    """Disagreement and picture of every crop of both detectors that converges, one of each body."""
+def all_crops(pose: BlazePose, objects: ObjectFinder, image: np.ndarray) -> Iterator[tuple[float, float, np.ndarray]]:
+    """Disagreement, presence and picture of every crop of both detectors that converges, one of each body."""
     known: list[PoseEstimate] = []
     for roi in scan(pose, image, min_score=TrackConfig().min_detection_score, objects=objects):
         found = converged(pose, image, roi)
@@ -93,7 +96,7 @@ def all_crops(pose: BlazePose, objects: ObjectFinder, image: np.ndarray) -> Iter
             continue
         known.append(found)
         color = (255, 255, 0) if found.presence >= MIN_PRESENCE_NEW else (255, 0, 0)
-        yield found.doubt, tile(image, found, f"{found.presence:.2f} {found.doubt:.3f}", color)
+        yield found.doubt, found.presence, tile(image, found, f"{found.presence:.2f} {found.doubt:.3f}", color)
 
 
 def more_people(

@@ -181,8 +181,7 @@ class Tracker:
             others = [seen for seen in self._seen(frame) if seen is not own]
             if found is None or any(finder.same_person(found, other) for other in others):
                 continue
-            whole = own is not None and finder.is_whole(found, own) and finder.is_better(found, own)
-            if own is None or whole or found.doubt < own.doubt:
+            if own is None or finder.is_better(found, own) or found.doubt < own.doubt:
                 track.put(frame, found)
 
     def _alive(self, frame: int) -> list[Track]:
