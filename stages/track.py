@@ -139,4 +139,4 @@ def _select(people: tuple[PersonTrack, ...], wanted: str) -> tuple[int, ...]:
     raise UsageError(f"--person {wanted}: want `largest`, `all` or one of the IDs found: {found}")
 
 
-STAGE = StageSpec("track", track_people, version=23, models=("pose", "finder"))
+STAGE = StageSpec("track", track_people, version=24, models=("pose", "finder"))

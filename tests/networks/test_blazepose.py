@@ -12,7 +12,7 @@ import pytest
 
 from video2anim.errors import ModelMissingError
 from video2anim.networks import blazepose, blazepose_detector, load_model
-from video2anim.networks.landmarks import MIRROR_LANDMARK
+from video2anim.networks.landmarks import BODY_HALVES, MIRROR_LANDMARK
 from video2anim.networks.roi import SquareRoi
 from video2anim.tracking import person_detection
 
@@ -174,25 +174,51 @@ def test_disagreement_of_both_answers_tells_people_from_background(pose: blazepo
     np.testing.assert_allclose(person.disagreement, apart[:33])
 
 
-def answer(left_x: float, visibility: float) -> blazepose.CropAnswer:
-    """A torso whose left side is at `left_x`, and the right one mirrored at the axis of the crop."""
-    points = np.full((39, 2), 0.5)
-    points[[11, 23]], points[[12, 24]] = [left_x, 0.4], [1 - left_x, 0.4]
+def answer(left_x: float, visibility: float, hips_left_x: float | None = None) -> blazepose.CropAnswer:
+    """A torso whose left side is at `left_x`, the right one mirrored at the axis of the crop; its hips may differ."""
+    points, lower_x = np.full((39, 2), 0.5), left_x if hips_left_x is None else hips_left_x
+    points[[11, 12]], points[[23, 24]] = [[left_x, 0.4], [1 - left_x, 0.4]], [[lower_x, 0.6], [1 - lower_x, 0.6]]
     return blazepose.CropAnswer(1.0, points, np.full(39, visibility), np.zeros((39, 3)), np.zeros((64, 64)))
 
 
 def test_answers_that_agree_are_averaged() -> None:
-    found = answer(0.6, 0.9).joined(answer(0.7, 0.7), None)
+    one, other = answer(0.6, 0.9), answer(0.7, 0.7)
+    assert blazepose.facing_alike(one, other, None) == (one, other)
+    found = one.joined(other)
     assert found.points_crop[11, 0] == pytest.approx(0.65)
     assert found.visibility[0] == pytest.approx(0.8)
 
 
-@pytest.mark.parametrize(("sides", "left_x"), [(None, 0.3), (np.array([0.1, 0.0]), 0.7), (np.array([-0.1, 0.0]), 0.3)])
-def test_front_and_back_are_not_averaged(sides: np.ndarray | None, left_x: float) -> None:
+@pytest.mark.parametrize(("before_x", "left_x"), [(None, 0.275), (0.6, 0.725), (0.4, 0.275)])
+def test_front_and_back_are_not_averaged(before_x: float | None, left_x: float) -> None:
     """The mean of both would have the torso on its axis. What was seen before decides, otherwise what is more
     visible."""
-    for one, other in ((answer(0.7, 0.7), answer(0.3, 0.9)), (answer(0.3, 0.9), answer(0.7, 0.7))):
-        assert one.joined(other, sides).points_crop[11, 0] == left_x
+    before = None if before_x is None else answer(before_x, 1.0).points_crop[:33]
+    for one, other in ((answer(0.7, 0.7), answer(0.25, 0.9)), (answer(0.25, 0.9), answer(0.7, 0.7))):
+        alike = blazepose.facing_alike(one, other, before)
+        assert alike[0].joined(alike[1]).points_crop[11, 0] == pytest.approx(left_x)
+
+
+@pytest.mark.parametrize("before_x", [0.6, 0.4])
+def test_hips_that_contradict_do_not_depend_on_the_shoulders(before_x: float) -> None:
+    before = answer(0.6, 1.0, before_x).points_crop[:33]
+    for one, other in ((answer(0.7, 0.7), answer(0.8, 0.9, 0.3)), (answer(0.8, 0.9, 0.3), answer(0.7, 0.7))):
+        alike = blazepose.facing_alike(one, other, before)
+        found = alike[0].joined(alike[1]).points_crop
+        assert found[11, 0] == pytest.approx(0.75)
+        assert found[23, 0] == pytest.approx(0.7 if before_x > 0.5 else 0.3)
+
+
+def test_who_faces_the_other_way_has_near_and_far_exchanged() -> None:
+    """A body and its answer that takes the front for the back: seen from afar the same outline."""
+    one = answer(0.7, 0.9)._replace(world_m=np.random.default_rng(0).normal(size=(39, 3)))
+    other = one
+    for half in BODY_HALVES:
+        other = other.exchanged(half)
+    np.testing.assert_allclose(other.world_m[11], one.world_m[12] * [1, 1, -1])
+    alike = blazepose.facing_alike(one, other, one.points_crop[:33])
+    np.testing.assert_allclose(alike[1].world_m, one.world_m)
+    np.testing.assert_allclose(alike[1].points_crop, one.points_crop)
 
 
 def test_turned_picture_gives_the_same_body(pose: blazepose.BlazePose, lab: np.ndarray) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Container, Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -404,39 +405,43 @@ def test_nobody_is_invented(name: str, shared_media: Path, monkeypatch: pytest.M
 
 
 @pytest.mark.parametrize(
-    ("turn_deg", "upright_presence", "upright_doubt", "head_up"),
-    [(170.0, 1.0, 0.005, True), (170.0, 0.0, 0.005, False), (170.0, 1.0, 0.02, False), (80.0, 1.0, 0.004, False)],
-)
-def test_somebody_followed_head_down_is_looked_at_head_up(
-    turn_deg: float, upright_presence: float, upright_doubt: float, head_up: bool
+    ("off_deg", "presence", "aside_px", "calls", "doubt"),
+    [
+        (170.0, 1.0, 0.0, 4, 0.005), (-100.0, 1.0, 0.0, 4, 0.005), (10.0, 1.0, 0.0, 1, 0.005),
+        (170.0, 0.8, 0.0, 4, 0.05), (170.0, 1.0, 90.0, 4, 0.05),
+    ],
+    ids=["head down", "on the side", "upright", "nobody there", "somebody else there"],
+)  # fmt: skip
+def test_a_doubtful_body_is_looked_at_in_other_turns(
+    off_deg: float, presence: float, aside_px: float, calls: int, doubt: float
 ) -> None:
-    """After a flip the crop would stay turned; a real handstand shows nobody head up."""
-    hips_px, image = np.array([160.0, 120.0]), np.zeros((HEIGHT, WIDTH, 3), np.uint8)
-    turn = np.radians(turn_deg)
-
-    def seen(rotation_rad: float, presence: float, doubt: float) -> PoseEstimate:
-        rim_px = hips_px + 60.0 * np.array([np.sin(rotation_rad), -np.cos(rotation_rad)])
-        roi = SquareRoi.from_circle(hips_px, rim_px)
-        landmarks = np.zeros((33, 2))
-        return PoseEstimate(
-            presence,
-            landmarks,
-            np.zeros((33, 3)),
-            np.ones(33),
-            np.zeros((64, 64), np.uint8),
-            roi,
-            roi,
-            np.full(33, doubt),
-        )
+    """The network of this test knows a body that is upright in the crop within an eighth of a turn."""
+    hips_px, body_rad = np.array([160.0, 120.0]), 0.3
+    asked: list[SquareRoi] = []
 
     class Pose:
-        def estimate(self, _: np.ndarray, roi: SquareRoi) -> PoseEstimate:
-            assert roi.rotation_rad == 0.0
-            return seen(0.0, upright_presence, upright_doubt)
+        def estimate(self, _: np.ndarray, roi: SquareRoi, before: PoseEstimate) -> PoseEstimate:
+            asked.append(roi)
+            off_rad = math.remainder(roi.rotation_rad - body_rad, 2 * np.pi)
+            upright = abs(off_rad) <= np.pi / 4
+            at_px = hips_px + np.array([aside_px if upright else 0.0, 0.0])
+            around = np.linspace(0, 2 * np.pi, 33)
+            points_px = at_px + 40.0 * np.stack([np.cos(around), np.sin(around)], -1)
+            fitted = SquareRoi.from_circle(at_px, at_px + 60.0 * np.array([np.sin(body_rad), -np.cos(body_rad)]))
+            return PoseEstimate(
+                presence if upright else 0.9, points_px, np.zeros((33, 3)), np.ones(33),
+                np.zeros((64, 64), np.uint8), roi, fitted, np.full(33, 0.005 if upright else 0.05),
+            )  # fmt: skip
 
-    tracked = seen(turn, 0.95, 0.01)
-    found = person_detection.head_up(cast(BlazePose, Pose()), image, tracked)
-    assert (found is not tracked) == head_up
+    pose, image = cast(BlazePose, Pose()), np.zeros((HEIGHT, WIDTH, 3), np.uint8)
+    side_px = SquareRoi.from_circle(hips_px, hips_px + np.array([0.0, 60.0])).side_px
+    roi = SquareRoi(*hips_px, side_px, body_rad + np.radians(off_deg))
+    last = replace(Pose().estimate(image, roi, cast(PoseEstimate, None)), next_roi=roi)
+    asked.clear()
+    found = person_detection.follow(pose, image, last)
+    assert found is not None
+    assert (found.doubt, len(asked)) == (doubt, calls)
+    assert all((one.center_x_px, one.side_px) == (roi.center_x_px, roi.side_px) for one in asked)
 
 
 @pytest.mark.parametrize(

@@ -32,17 +32,18 @@ def walker(heading_rad: np.ndarray) -> PersonTrack:
     )  # fmt: skip
 
 
-def facing_away(track: PersonTrack, frames: slice) -> PersonTrack:
+def facing_away(track: PersonTrack, frames: slice, part: slice = slice(None)) -> PersonTrack:
     """What the landmark network says of some frames if it takes the front for the back."""
     for values, sign in ((track.landmarks_px, 1.0), (track.landmarks_m, np.array([1.0, 1, -1])), (track.visibility, 1)):
-        values[frames] = values[frames][:, MIRROR_LANDMARK] * sign
+        values[frames, part] = (values[frames][:, MIRROR_LANDMARK] * sign)[:, part]
     return track
 
 
+@pytest.mark.parametrize("part", [slice(None), slice(0, 23), slice(23, 33)], ids=["whole", "upper", "lower"])
 @pytest.mark.parametrize("frames", [slice(10, 11), slice(10, 15), slice(3, 8)])
-def test_short_reversals_are_turned_back(frames: slice) -> None:
+def test_short_reversals_are_turned_back(frames: slice, part: slice) -> None:
     true = walker(np.full(FRAMES, 0.3))
-    found = without_reversals(facing_away(walker(np.full(FRAMES, 0.3)), frames), FPS)
+    found = without_reversals(facing_away(walker(np.full(FRAMES, 0.3)), frames, part), FPS)
     np.testing.assert_allclose(found.landmarks_px, true.landmarks_px)
     np.testing.assert_allclose(found.landmarks_m, true.landmarks_m)
     np.testing.assert_allclose(found.visibility, true.visibility)

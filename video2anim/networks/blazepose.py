@@ -16,11 +16,11 @@ from typing import NamedTuple
 
 import cv2
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Float, Int, UInt8
 
 from video2anim.errors import ModelMissingError
 from video2anim.networks.blazepose_detector import BlazePoseDetector, Detections
-from video2anim.networks.landmarks import LANDMARKS, LEFT_TORSO, MIRROR_LANDMARK, RIGHT_TORSO
+from video2anim.networks.landmarks import BODY_HALVES, LANDMARKS, MIRROR_LANDMARK
 from video2anim.networks.network import sigmoid
 from video2anim.networks.roi import SquareRoi
 from video2anim.networks.tflite import TfliteNet
@@ -52,8 +52,8 @@ class PoseEstimate:
     next_roi: SquareRoi
     """The crop that fits the person found."""
     disagreement: Float[np.ndarray, "33"]
-    """Distance between the landmarks of the crop's and of the mirrored crop's answer, as a share of the crop's side:
-    how far the network errs."""
+    """Distance between the landmarks of the crop's and of the mirrored crop's answer, facing alike, as a share of the
+    crop's side: how far the network errs."""
 
     def box_px(self) -> Float[np.ndarray, "4"]:
         """x0, y0, x1, y1 around the landmarks."""
@@ -80,24 +80,50 @@ class CropAnswer(NamedTuple):
         points_crop = np.stack([1.0 - points_crop[:, 0], points_crop[:, 1]], -1)
         return CropAnswer(self.presence, points_crop, self.visibility[_MIRROR], world_m, self.mask[:, ::-1])
 
-    @property
-    def sides(self) -> Float[np.ndarray, "2"]:
-        """From the right to the left of the torso: its sign tells the front from the back."""
-        return (self.points_crop[LEFT_TORSO] - self.points_crop[RIGHT_TORSO]).sum(0)
-
-    def joined(self, other: CropAnswer, sides: Float[np.ndarray, "2"] | None) -> CropAnswer:
-        """The mean of two answers for one body. If one takes the front for the back, a mean would have all of the
-        torso on its axis: then the landmarks are those of the one which has its sides as the body had them before, or
-        which is more visible if that is not known."""
-        points_crop, world_m = 0.5 * (self.points_crop + other.points_crop), 0.5 * (self.world_m + other.world_m)
-        if self.sides @ other.sides < 0:
-            better = max((self, other), key=lambda one: one.visibility.sum() if sides is None else one.sides @ sides)
-            # The next crop stays that of the mean: it is about the body, whichever way that faces.
-            points_crop[:LANDMARKS], world_m = better.points_crop[:LANDMARKS], better.world_m
-        return CropAnswer(
-            0.5 * (self.presence + other.presence), points_crop, 0.5 * (self.visibility + other.visibility), world_m,
-            0.5 * (self.mask + other.mask),
+    def exchanged(self, half: Int[np.ndarray, "part"]) -> CropAnswer:
+        """The same outline, of an upper or lower body that faces the other way."""
+        source = np.arange(_ALL)
+        source[half] = MIRROR_LANDMARK[half]
+        world_m = self.world_m[source]
+        world_m[half, 2] *= -1.0
+        return self._replace(
+            points_crop=self.points_crop[source], visibility=self.visibility[source], world_m=world_m
         )  # fmt: skip
+
+    def across(self, half: Int[np.ndarray, "part"]) -> Float[np.ndarray, "part 2"]:
+        """To every landmark from its partner on the other side: the sign tells the front from the back."""
+        return _across(self.points_crop, half)
+
+    def joined(self, other: CropAnswer) -> CropAnswer:
+        """The mean of two answers for one body."""
+        return CropAnswer(*(0.5 * (mine + theirs) for mine, theirs in zip(self, other, strict=True)))
+
+
+def facing_alike(
+    one: CropAnswer, other: CropAnswer, before_crop: Float[np.ndarray, "33 2"] | None
+) -> tuple[CropAnswer, CropAnswer]:
+    """Two answers for one body, where one may take the front for the back in the upper or the lower body: there its
+    sides are exchanged, since the mean of both would have them in one place.
+
+    Args:
+        one: Of a crop.
+        other: Of the mirrored crop, mirrored back.
+        before_crop: The body in the image before or after, in crop coordinates: who faces that way is right. If it is
+            not known, who is more visible.
+    """
+    for half in BODY_HALVES:
+        if (one.across(half) * other.across(half)).sum() >= 0:
+            continue
+        if before_crop is None:
+            is_right = one.visibility[half].sum() >= other.visibility[half].sum()
+        else:
+            is_right = (one.across(half) * _across(before_crop, half)).sum() >= 0
+        one, other = (one, other.exchanged(half)) if is_right else (one.exchanged(half), other)
+    return one, other
+
+
+def _across(points: Float[np.ndarray, "landmarks 2"], half: Int[np.ndarray, "part"]) -> Float[np.ndarray, "part 2"]:
+    return points[half] - points[MIRROR_LANDMARK[half]]
 
 
 class BlazePose:
@@ -138,10 +164,9 @@ class BlazePose:
             before: Of the person in the image before or after, which tells the front from the back if the crops do not.
         """
         crop = roi.crop(image, self._net.input_size_px).astype(np.float32) / 255.0
-        points = None if before is None else roi.to_crop(before.landmarks_px)
-        sides = None if points is None else (points[LEFT_TORSO] - points[RIGHT_TORSO]).sum(0)
-        own, other = self.answer(crop), self.answer(crop[:, ::-1]).mirrored()
-        found = own.joined(other, sides)
+        before_crop = None if before is None else roi.to_crop(before.landmarks_px)
+        own, other = facing_alike(self.answer(crop), self.answer(crop[:, ::-1]).mirrored(), before_crop)
+        found = own.joined(other)
         points_px = roi.to_pixels(found.points_crop)
         return PoseEstimate(
             presence=found.presence,

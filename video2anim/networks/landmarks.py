@@ -20,7 +20,5 @@ MIRROR_LANDMARK = np.arange(LANDMARKS)
 """Each landmark's partner on the other side; the nose is its own."""
 for _left, _right in _PAIRS:
     MIRROR_LANDMARK[[_left, _right]] = _right, _left
-LEFT_TORSO, RIGHT_TORSO = (
-    [BLAZEPOSE_OF_KEYPOINT[f"{side}_{part}"] for part in ("shoulder", "hip")] for side in ("left", "right")
-)
-"""Shoulder and hip of each side."""
+BODY_HALVES = (np.arange(23), np.arange(23, LANDMARKS))
+"""Face and arms; hips and legs. The network may take the front for the back in one of them alone."""

@@ -1,8 +1,8 @@
 """Every person in one image: detections at several zooms, each confirmed by the landmark network.
 
 BlazePose's detector wants a face or a torso; Objectron's detector also finds people from behind and in blur. Both also
-fire on chairs and trees. The landmark network confirms a person by high presence, visible landmarks, and a crop that
-converges when it is refitted.
+fire on chairs and trees. The landmark network confirms a person by high presence, two answers that agree, and a crop
+that converges when it is refitted.
 """
 
 from __future__ import annotations
@@ -120,14 +120,19 @@ def whole(
     if any(boxes_meet(box_px, other.box_px()) for other in others):
         return found
     wide = pose.estimate(image, roi)
-    sure = wide.presence >= MIN_PRESENCE_NEW and same_person(wide, found) and is_whole(wide, found)
-    return wide if sure and is_better(wide, found) else found
+    is_same = _is_sure(wide) and same_person(wide, found)
+    return wide if is_same and is_whole(wide, found) else found
 
 
 def confirm(pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], roi: SquareRoi) -> PoseEstimate | None:
     """The person of a crop refitted until it converges; None where no person is confirmed."""
     found = converged(pose, image, roi)
-    return found if found is not None and found.presence >= MIN_PRESENCE_NEW and not is_doubtful(found) else None
+    return found if found is not None and _is_sure(found) else None
+
+
+def _is_sure(found: PoseEstimate) -> bool:
+    """Whether a crop shows somebody who need not have been known before."""
+    return found.presence >= MIN_PRESENCE_NEW and not is_doubtful(found)
 
 
 def is_doubtful(found: PoseEstimate) -> bool:
@@ -139,7 +144,7 @@ def converged(pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], roi: 
     """Refit a crop to what it shows until it stays; None where it does not, or shows less than a followed person."""
     for _ in range(_MAX_FITS):
         found = pose.estimate(image, roi)
-        if found.presence < MIN_PRESENCE_KEPT or found.visibility.mean() < MIN_VISIBILITY_KEPT:
+        if not _is_seen(found):
             return None
         if _settled(roi, found.next_roi):
             return found
@@ -151,25 +156,34 @@ def follow(pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], last: Po
     """A known person in the next image; None where it is lost."""
     roi = last.next_roi
     found = pose.estimate(image, roi, last)
-    seen = found.presence >= MIN_PRESENCE_KEPT and found.visibility.mean() >= MIN_VISIBILITY_KEPT
-    return found if seen and _continuous(roi, found.next_roi) else None
+    if not (_is_seen(found) and _continuous(roi, found.next_roi)):
+        return None
+    return turned(pose, image, found, last) if is_doubtful(found) else found
 
 
-def head_up(pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], found: PoseEstimate) -> PoseEstimate:
-    """The estimate with the head up, where the network is as sure of a person tracked head down that way.
+def turned(
+    pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], doubtful: PoseEstimate, last: PoseEstimate
+) -> PoseEstimate:
+    """The estimate of the same body of which the network is surest, of crops turned by quarters; the given one where
+    none is better.
 
-    The crop turns with the body, so after a wrong flip a person would stay head down.
+    The network knows best who is upright in the crop, but the crop's turn is its own guess in the frame before. An
+    eighth of a turn off it still knows them; half a turn off it may be sure of a body that is the other way up.
     """
-    if not _is_head_down(found):
-        return found
-    other = pose.estimate(image, replace(found.next_roi, rotation_rad=0.0))
-    as_sure = other.presence >= min(found.presence, MIN_PRESENCE_NEW) and other.doubt <= found.doubt
-    return other if as_sure and not _is_head_down(other) else found
+    roi = doubtful.roi
+    quarters = [replace(roi, rotation_rad=roi.rotation_rad + 0.5 * math.pi * k) for k in (1, 2, 3)]
+    tried = [pose.estimate(image, quarter, last) for quarter in quarters]
+    same = [
+        one for one in tried
+        if _is_sure(one) and same_person(one, doubtful) and is_better(one, doubtful)
+        and (is_doubtful(last) or math.cos(one.next_roi.rotation_rad - last.next_roi.rotation_rad) > 0)
+    ]  # fmt: skip
+    return min(same, key=lambda one: one.doubt, default=doubtful)
 
 
-def _is_head_down(found: PoseEstimate) -> bool:
-    turn = found.next_roi.rotation_rad
-    return bool(abs(np.arctan2(np.sin(turn), np.cos(turn))) > math.pi / 2)
+def _is_seen(found: PoseEstimate) -> bool:
+    """Whether a crop shows somebody who was there in the frame before."""
+    return found.presence >= MIN_PRESENCE_KEPT and bool(found.visibility.mean() >= MIN_VISIBILITY_KEPT)
 
 
 def same_person(first: PoseEstimate, second: PoseEstimate) -> bool:

@@ -195,7 +195,7 @@ class Tracker:
         if lost < _HELD_FRAMES:
             found = finder.follow(self._pose, image, track.last)
             if found is not None:
-                track.put(frame, finder.head_up(self._pose, image, found))
+                track.put(frame, found)
                 return
         rois = finder.scan_near(self._pose, image, track.last.next_roi, min_score=self._min_detection_score)
         self._admit(frame, image, rois)
@@ -261,9 +261,8 @@ def _is_seen_better(track: Track, frame: int) -> bool:
     own, later = (track.estimates.get(one) for one in (frame, frame + 1))
     if later is None or own is None:
         return later is not None
-    return (
-        finder.is_whole(later, own) or finder.is_doubtful(own) or bool(is_turned(later.landmarks_px, own.landmarks_px))
-    )
+    turned = is_turned(later.landmarks_px, own.landmarks_px).any()
+    return finder.is_whole(later, own) or finder.is_doubtful(own) or bool(turned)
 
 
 def _surprise(track: Track, frame: int) -> float:
