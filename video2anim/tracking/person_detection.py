@@ -30,14 +30,14 @@ that name no measurement."""
 MIN_PRESENCE_KEPT = 0.5
 """The same for somebody who was there in the frame before: more likely there than not."""
 MAX_DISAGREEMENT = 0.02
-"""Median disagreement of the landmark network's two answers above which it does not know the body. Of 115 crops with a
-presence of somebody new, 101 of people, also from behind, have up to 0.015; 14 of background, blurs and people who are
+"""Median disagreement of the landmark network's two answers above which it does not know the body. Of 108 crops with a
+presence of somebody new, 94 of people, also from behind, have up to 0.012; 14 of background, blurs and people who are
 mostly hidden have at least 0.021 (`benchmarks/person_detection.py`)."""
 MIN_VISIBILITY_KEPT = 0.35
 """The same for somebody who was there in the frame before and may be half hidden."""
 MIN_OBJECT_SCORE = 0.4
-"""Of a person found by Objectron's detector. Confirmed crops of other objects score up to 0.39, one chair 0.41; people
-up to 0.51 (`benchmarks/person_detection.py`)."""
+"""Of a person found by Objectron's detector. From 0.2 on nearly all that are confirmed are people, but most are hidden
+or blurred, and their tracks pass from one to the next (docs/benchmarks.md)."""
 _MAX_FITS = 4
 """Most fits of a crop until it stays."""
 _SETTLED = 0.1
