@@ -90,13 +90,13 @@ class CropAnswer(NamedTuple):
             points_crop=self.points_crop[source], visibility=self.visibility[source], world_m=world_m
         )  # fmt: skip
 
-    def across(self, half: Int[np.ndarray, "part"]) -> Float[np.ndarray, "part 2"]:
-        """To every landmark from its partner on the other side: the sign tells the front from the back."""
-        return _across(self.points_crop, half)
-
     def joined(self, other: CropAnswer) -> CropAnswer:
         """The mean of two answers for one body."""
-        return CropAnswer(*(0.5 * (mine + theirs) for mine, theirs in zip(self, other, strict=True)))
+        return CropAnswer(
+            0.5 * (self.presence + other.presence), 0.5 * (self.points_crop + other.points_crop),
+            0.5 * (self.visibility + other.visibility), 0.5 * (self.world_m + other.world_m),
+            0.5 * (self.mask + other.mask),
+        )  # fmt: skip
 
 
 def facing_alike(
@@ -112,17 +112,19 @@ def facing_alike(
             not known, who is more visible.
     """
     for half in BODY_HALVES:
-        if (one.across(half) * other.across(half)).sum() >= 0:
+        across = _across(one.points_crop, half)
+        if (across * _across(other.points_crop, half)).sum() >= 0:
             continue
         if before_crop is None:
             is_right = one.visibility[half].sum() >= other.visibility[half].sum()
         else:
-            is_right = (one.across(half) * _across(before_crop, half)).sum() >= 0
+            is_right = (across * _across(before_crop, half)).sum() >= 0
         one, other = (one, other.exchanged(half)) if is_right else (one.exchanged(half), other)
     return one, other
 
 
 def _across(points: Float[np.ndarray, "landmarks 2"], half: Int[np.ndarray, "part"]) -> Float[np.ndarray, "part 2"]:
+    """To every landmark from its partner on the other side: the sign tells the front from the back."""
     return points[half] - points[MIRROR_LANDMARK[half]]
 
 

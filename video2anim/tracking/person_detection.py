@@ -131,7 +131,7 @@ def confirm(pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], roi: Sq
 
 
 def _is_sure(found: PoseEstimate) -> bool:
-    """Whether a crop shows somebody who need not have been known before."""
+    """Whether a crop shows somebody, known before or not."""
     return found.presence >= MIN_PRESENCE_NEW and not is_doubtful(found)
 
 
@@ -158,10 +158,10 @@ def follow(pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], last: Po
     found = pose.estimate(image, roi, last)
     if not (_is_seen(found) and _continuous(roi, found.next_roi)):
         return None
-    return turned(pose, image, found, last) if is_doubtful(found) else found
+    return surest_turn(pose, image, found, last) if is_doubtful(found) else found
 
 
-def turned(
+def surest_turn(
     pose: BlazePose, image: UInt8[np.ndarray, "height width 3"], doubtful: PoseEstimate, last: PoseEstimate
 ) -> PoseEstimate:
     """The estimate of the same body of which the network is surest, of crops turned by quarters; the given one where
@@ -175,7 +175,7 @@ def turned(
     tried = [pose.estimate(image, quarter, last) for quarter in quarters]
     same = [
         one for one in tried
-        if _is_sure(one) and same_person(one, doubtful) and is_better(one, doubtful)
+        if _is_sure(one) and same_person(one, doubtful) and not is_whole(doubtful, one)
         and (is_doubtful(last) or math.cos(one.next_roi.rotation_rad - last.next_roi.rotation_rad) > 0)
     ]  # fmt: skip
     return min(same, key=lambda one: one.doubt, default=doubtful)
