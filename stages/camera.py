@@ -157,4 +157,4 @@ def _expect_sane(config: CameraConfig, clip: VideoClip) -> None:
         )
 
 
-STAGE = StageSpec("camera", estimate_camera, version=31, models=("lifter", "camera"))
+STAGE = StageSpec("camera", estimate_camera, version=32, models=("lifter", "camera"))

@@ -152,4 +152,4 @@ def _record(motion: BodyMotion, quality: PersonQuality, spread_m: float, ctx: St
     ctx.quality("skeleton_height", quality.body_height_m, "m")
 
 
-STAGE = StageSpec("humans", recover_humans, version=27, models=("lifter",))
+STAGE = StageSpec("humans", recover_humans, version=28, models=("lifter",))

@@ -24,6 +24,22 @@ def ray_rotation(points_px: Float[np.ndarray, "frames 2"], intrinsics: Intrinsic
     return rotations_between(np.broadcast_to([0.0, 0.0, 1.0], ray.shape), ray)
 
 
+def level_ray_rotation(
+    points_px: Float[np.ndarray, "frames 2"], intrinsics: Intrinsics, up_camera: Float[np.ndarray, "frames 3"]
+) -> Float[np.ndarray, "frames 3 3"]:
+    """`ray_rotation`, turned about the viewing ray so that up has no part across the image: the camera's roll is known.
+
+    Args:
+        points_px: Middle of the hips.
+        intrinsics: Lens.
+        up_camera: Unit vector against gravity in the axes of each frame's camera.
+    """
+    R_camera_ray = ray_rotation(points_px, intrinsics)
+    up_ray = np.einsum("tab,ta->tb", R_camera_ray, up_camera)
+    roll_rad = np.arctan2(up_ray[:, 0], -up_ray[:, 1])
+    return R_camera_ray @ matrix_from_axis_angle(roll_rad[:, None] * [0.0, 0.0, 1.0])
+
+
 def landmark_rotation(
     points_px: Float[np.ndarray, "frames 2"], intrinsics: Intrinsics, up_camera: Float[np.ndarray, "frames 3"]
 ) -> Float[np.ndarray, "frames 3 3"]:

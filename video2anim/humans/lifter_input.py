@@ -1,7 +1,8 @@
 """Input of the temporal lifter, and the body that its output stands for.
 
 The network sees neither pixels nor the lens: each frame is given in the frame of the person's viewing ray (optical axis
-through the middle of the hips), as directions in units of the person's size, so one network serves all cameras.
+through the middle of the hips, without roll), as directions in units of the person's size, so one network serves all
+cameras.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from jaxtyping import Bool, Float, Int
 
 from video2anim.body.anny_body import KEYPOINT_NAMES
 from video2anim.geometry.rotations import matrix_from_rot6d
-from video2anim.humans.initial import landmark_rotation, ray_rotation
+from video2anim.humans.initial import landmark_rotation, level_ray_rotation
 from video2anim.humans.landmarks import KEYPOINT_INDEX
 from video2anim.humans.problem import Observations
 from video2anim.types.skeleton import JOINT_INDEX, PARENTS
@@ -73,7 +74,7 @@ def lifter_input(observed: Observations) -> LifterInput:
     valid = observed.valid & np.isfinite(observed.keypoints_px).all((1, 2))
     k = observed.intrinsics
     center_px = _carried(observed.keypoints_px[:, _HIPS].mean(1), valid)
-    R_camera_ray = ray_rotation(center_px, k)
+    R_camera_ray = level_ray_rotation(center_px, k, observed.up_camera)
     pixels = np.nan_to_num(observed.keypoints_px)
     ray = np.stack(
         [(pixels[..., 0] - k.cx_px) / k.fx_px, (pixels[..., 1] - k.cy_px) / k.fy_px, np.ones(pixels.shape[:2])], -1
@@ -94,7 +95,7 @@ def ray_features(
 
     Args:
         ray_camera: directions in the camera, of any length.
-        R_camera_ray: `ray_rotation` of the middle of the hips.
+        R_camera_ray: `ray_rotation` of the middle of the hips, level or not.
         points_ray_m: 3D landmarks in the frame of the ray, with any origin.
         visibility: 0 to 1.
         valid: frames with a measurement; features of the others are zero.
