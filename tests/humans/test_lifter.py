@@ -159,6 +159,23 @@ def test_answer_is_read_back(walk: Walk) -> None:
     np.testing.assert_allclose(body.error_m, 0.07)
 
 
+@pytest.mark.parametrize("roll_deg", [-35.0, 20.0, 180.0])
+def test_roll_of_the_camera_changes_nothing(walk: Walk, network: Lifter, roll_deg: float) -> None:
+    """Gravity is known, so a rolled camera's bodies are those of the level one, rolled."""
+    R = matrix_from_axis_angle(np.radians([0.0, 0.0, roll_deg]))
+    seen, k = walk.observed, walk.observed.intrinsics
+    assert k.fx_px == k.fy_px
+    center_px = np.array([k.cx_px, k.cy_px])
+    rolled = replace(
+        seen, keypoints_px=center_px + (seen.keypoints_px - center_px) @ R[:2, :2].T,
+        keypoints_m=seen.keypoints_m @ R.T, up_camera=seen.up_camera @ R.T,
+    )  # fmt: skip
+    np.testing.assert_allclose(lifter_input(rolled).features, lifter_input(seen).features, atol=1e-4)
+    body, level = lift(rolled, network), lift(seen, network)
+    np.testing.assert_allclose(body.R_parent_joint[:, 0], R @ level.R_parent_joint[:, 0], atol=1e-3)
+    np.testing.assert_allclose(body.up_camera, level.up_camera @ R.T, atol=1e-3)
+
+
 def test_shipped_weights_know_a_walk(walk: Walk, network: Lifter) -> None:
     body = lift(walk.observed, network)
     assert limbs_apart_m(body.R_parent_joint, walk) < 0.05
