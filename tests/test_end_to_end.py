@@ -421,8 +421,9 @@ def test_screenshots_of_all_motions(scene: Scene, tmp_path: Path) -> None:
         answer = video2anim("view", scene.folder, "--screenshot", path, "--frame", "20", "--motion", motion)
         assert answer.code == 0, answer.err
         pictures[motion] = cv2.imread(str(path)).astype(int)
-    for one, other, wanted in (("raw", "keyframes", 0.006), ("keyframes", "refined", 0.116)):
+    for one, other, wanted in (("raw", "keyframes", 0.006), ("keyframes", "refined", 0.06)):
         changed = (np.abs(pictures[one] - pictures[other]).max(-1) > 20).mean()
+        # The view follows the body, which stage refine moves by 6 cm here.
         assert wanted / 2 < changed < 2 * wanted, "another body in the same room, seen from a little beside"
 
 
