@@ -61,8 +61,7 @@ def test_pipeline_on_a_synthetic_clip(judged: Judged) -> None:
     assert mean("motion", "contact_f1") > 0.84  # 0.898 and 0.920, by the processor; 0.948 at commit 79532f2
     assert mean("motion", "contact_f1_motion") > 0.82  # 0.911
     assert mean("motion", "skating_gmd") < 0.2  # 0.14
-    # 0.64; on fifteen clips of the bench 0.67 (docs/benchmarks.md). It was 0.85 while front and back were exchanged in
-    # the upper or lower body alone.
+    # 0.64; on fifteen clips of the bench 0.67 (docs/benchmarks.md). It was 0.85 with an earlier tracker.
     assert 0.5 < mean("motion", "jerk") / judged.groups["motion"]["jerk"]["truth_mean"] < 1.3
     assert mean("background", "mask_iou") > 0.71  # 0.854
     page = judged.page.read_text(encoding="utf-8")
