@@ -61,7 +61,7 @@ def test_pipeline_on_a_synthetic_clip(judged: Judged) -> None:
     assert mean("motion", "contact_f1") > 0.84  # 0.898 and 0.920, by the processor; 0.948 at commit 79532f2
     assert mean("motion", "contact_f1_motion") > 0.82  # 0.911
     assert mean("motion", "skating_gmd") < 0.2  # 0.14
-    # 0.64 (0.76 at commit 5c7e682, where PA-MPJPE was 24.2 instead of 22.8 mm and the acceleration error 2.65): a motion
+    # 0.64 (0.76 at commit 5c7e682: PA-MPJPE 24.2 instead of 22.8 mm, acceleration error 2.65 m/s2): a motion
     # that is smooth for want of detail errs in its acceleration.
     assert mean("motion", "acceleration_error") < 3.2  # 2.54 m/s2
     assert 0.5 < mean("motion", "jerk") / judged.groups["motion"]["jerk"]["truth_mean"] < 1.3
